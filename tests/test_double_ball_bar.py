@@ -18,6 +18,7 @@ from vcal.errors import StudyError
 from vcal.geometry.circular_deviations import (
     actual_path,
     circular_deviations,
+    circular_hysteresis,
     least_squares_circle,
     minimum_zone_circles,
     sensitivities,
@@ -90,7 +91,7 @@ def test_four_readings_by_hand():
     path = actual_path(np.deg2rad([0, 90, 180, 270]), 1e-6 * np.array([3.0, -1.0, 5.0, 1.0]), R)
     found = circular_deviations(path, R)
     np.testing.assert_allclose(um(least_squares_circle(path).centre), [-1.0, -1.0], atol=1e-4)
-    expected = [4.0, 4.0, 5.0, -1.0, 4.0, 0.0, 2.0]
+    expected = [4.0, 4.0, 5.0, -1.0, 4.0, 0.0, 2.0, np.nan]
     np.testing.assert_allclose(um(found.values), expected, atol=1e-4)
 
 
@@ -161,7 +162,38 @@ def test_derivatives_of_deviations(rng):
     step = 1e-10 * rng.standard_normal(360)
     ends = [circular_deviations(actual_path(ANGLE, f + k * step, R), R).values for k in (1, -1)]
     found = sensitivities(actual_path(ANGLE, f, R)) @ step
-    np.testing.assert_allclose(found, np.subtract(*ends) / 2, atol=1e-13)
+    np.testing.assert_allclose(found, np.subtract(*ends)[:7] / 2, atol=1e-13)
+
+
+def test_a_hysteresis_by_hand():
+    """Readings of 3, -1, 5, 1 um and, in the other sense, 2, 0, 5, -2 um at four angles differ by
+    1, -1, 0 and 3 um. Between its angles the other path is taken along straight lines: half of a
+    step further on, it reads 0 between -2 and 2, and the circle closes.
+    """
+    angle = np.deg2rad([0.0, 90.0, 180.0, 270.0])
+    one, other = 1e-6 * np.array([3.0, -1.0, 5.0, 1.0]), 1e-6 * np.array([2.0, 0.0, 5.0, -2.0])
+    back = np.array([3, 2, 1, 0])
+    width, slope = circular_hysteresis((angle, angle[back]), (one, other[back]))
+    assert um(width) == pytest.approx(3.0)
+    np.testing.assert_allclose(slope, [0, 0, 0, 1, -1, 0, 0, 0], atol=1e-12)
+    shifted = angle + np.deg2rad(45.0)
+    width, slope = circular_hysteresis((shifted, angle), (one, other))
+    # 3 - 1, -1 - 2.5, 5 - 1.5 and 1 - 0: the largest is 3.5 um.
+    assert um(width) == pytest.approx(3.5)
+    width, _ = circular_hysteresis((shifted[3:], angle), (1e-6 * np.array([7.0]), other))
+    assert um(width) == pytest.approx(7.0)
+
+
+@pytest.mark.parametrize(
+    ("error", "expected"), [(squareness, 0.0), (scales, 0.0), (backlash, 6.0), (lag, 4.0)]
+)
+@pytest.mark.parametrize("full", [True, False])
+def test_hysteresis_in_closed_form(error, expected, full):
+    angle = ANGLE if full else np.deg2rad(np.arange(-20.0, 200.25, 0.5))
+    back = angle[::-1] + np.deg2rad(0.2) * (1 if full else 0)
+    width, slope = circular_hysteresis((angle, back), (error(angle, 1), error(back, -1)), full=full)
+    assert um(width) == pytest.approx(expected, abs=0.05)
+    assert slope.sum() == pytest.approx(0.0, abs=1e-12)
 
 
 def test_an_arc_has_no_mean_radius():
@@ -416,6 +448,9 @@ def test_circular_tests_of_a_fit(tmp_path):
         assert test.measured.circular > true.measured.circular - 1e-7
         if np.isfinite(test.u.mean_radial):
             assert 1e-8 < test.u.mean_radial < 1e-6
+        if test.sense == "both":
+            # The machine has no hysteresis: what is read of it is noise.
+            assert test.machine.hysteresis < 1e-9 < 1e-7 < test.measured.hysteresis
 
 
 @pytest.mark.slow
@@ -427,6 +462,11 @@ def test_report(tmp_path):
     assert len(record["circular_tests"]) == 18
     page = (tmp_path / "report" / "index.html").read_text(encoding="utf-8")
     assert "Circular tests (ISO 230-4)" in page and "G(b)" in page
+    pairs = [t for t in record["circular_tests"] if t["sense"] == "both" and t["plane"] == "XY"]
+    size = FOUND["backlash X"]["size_um"]
+    for test in pairs:
+        u = test["standard_uncertainty"]["hysteresis_um"]
+        assert abs(test["machine"]["hysteresis_um"] - size) < 4.0 * u + 0.02 * size
 
 
 @pytest.mark.campaign

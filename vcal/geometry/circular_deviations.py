@@ -18,14 +18,20 @@ and the minimum zone circles the centre of
 - *Radial deviation* F: |p_i - c| - R, with its extremes F_max and F_min; c is the centre at which
   the instrument was set up or, on full circles only, that of the least-squares circle.
 - *Mean bidirectional radial deviation* D: mean radius of both paths minus R, on full circles only.
+- *Circular hysteresis* H: largest radial difference |f_ccw - f_cw| of both paths at one angle, in
+  the edition of 1996; G(b) has taken its place since 2005.
 
 Small errors of a machine give, with t = phi and the sense s = 1 (counter-clockwise) or -1:
 
-    squareness e (Y turned towards X by e)   f = -e R sin(2 t)/2              G = e R, D = 0
+    squareness e (Y turned towards X by e)   f = -e R sin(2 t)/2            G = e R, D = H = 0
     scales e_x, e_y                          f = R (e_x cos^2 t + e_y sin^2 t)
-                                             G = R |e_x - e_y|, D = R (e_x + e_y)/2
-    backlash b of X, a lead b/2 sgn(v_x)     f = -s b/2 sgn(sin t) cos t      G = G(b) = b, D = 0
-    lag T of X, at the feed v                f = s v T sin(2 t)/2             G = G(b) = v T, D = 0
+                                             G = R |e_x - e_y|, D = R (e_x + e_y)/2, H = 0
+    backlash b of X, a lead b/2 sgn(v_x)     f = -s b/2 sgn(sin t) cos t    G = G(b) = H = b, D = 0
+    lag T of X, at the feed v                f = s v T sin(2 t)/2           G = G(b) = H = vT, D = 0
+
+Public abstracts of both editions name these quantities: UNI ISO 230-4:2010
+(https://store.uni.com/uni-iso-230-4-2010), DIN ISO 230-4 of 1996
+(https://www.aenor.com/normas-y-libros/buscador-de-normas/din?c=39812701).
 """
 
 from dataclasses import dataclass
@@ -37,6 +43,8 @@ from scipy.optimize import linprog
 _STEPS = 20
 _FULL = 2.0 * np.pi * 0.9
 """Least angle from the first to the last reading of a full circle, rad."""
+_SAME_RAD = 1e-9
+"""Difference below which two angles are one."""
 
 
 @dataclass(frozen=True)
@@ -154,6 +162,8 @@ class CircularDeviations:
     mean_radial: float
     """Mean radius about the least-squares centre minus R: D, where the paths are both of a pair;
     nan for an arc."""
+    hysteresis: float = float("nan")
+    """H of a pair (`circular_hysteresis`); nan for a single path."""
 
     @property
     def values(self) -> tuple[float, ...]:
@@ -191,8 +201,8 @@ def circular_deviations(
 
 
 def sensitivities(path: Float[np.ndarray, "n 2"], *, full: bool = True) -> Float[np.ndarray, "7 n"]:
-    """Derivatives of the deviations of a path, in the order of `CircularDeviations.values`, by the
-    radial reading of every point.
+    """Derivatives of the deviations of a path, in the order of `CircularDeviations.values` without
+    the hysteresis, by the radial reading of every point.
 
     The centre of the least-squares circle moves by the regression of the changes on (cos phi,
     sin phi, 1); a range depends on its two extreme points, a minimum zone on the points that it
@@ -210,3 +220,45 @@ def sensitivities(path: Float[np.ndarray, "n 2"], *, full: bool = True) -> Float
     rows = [touched, high - low, one[np.argmax(reading)], one[np.argmin(reading)]]
     rows += [high, low, about.mean(0)] if full else [np.full(len(far), np.nan)] * 3
     return np.stack(rows)
+
+
+def circular_hysteresis(
+    angles: tuple[Float[np.ndarray, " n"], Float[np.ndarray, " m"]],
+    deviations: tuple[Float[np.ndarray, " n"], Float[np.ndarray, " m"]],
+    *,
+    full: bool = True,
+) -> tuple[float, Float[np.ndarray, " n+m"]]:
+    """The circular hysteresis H of a pair, m, and its derivative by all radial readings.
+
+    `angles` are those of both paths along one circle, rad, `deviations` their radial readings, m.
+    The second path is interpolated linearly between its angles, at those of the first one that lie
+    in its arc; on a `full` circle across its ends too. Raises `ValueError` for paths without any
+    angle in common.
+    """
+    first, second = (np.asarray(angle, float) for angle in angles)
+    order = np.argsort(np.mod(second - first[0], 2.0 * np.pi))
+    at, place = np.mod(second - first[0], 2.0 * np.pi)[order], np.mod(first - first[0], 2.0 * np.pi)
+    if full:
+        at = np.concatenate([at[-1:] - 2.0 * np.pi, at, at[:1] + 2.0 * np.pi])
+        order = np.concatenate([order[-1:], order, order[:1]])
+    else:
+        # Cut where the arc has its gap.
+        gap = int(np.argmax(np.diff(np.append(at, at[0] + 2.0 * np.pi))))
+        start = at[(gap + 1) % len(at)]
+        at, order = np.roll(at, -gap - 1), np.roll(order, -gap - 1)
+        at, place = np.mod(at - start, 2.0 * np.pi), np.mod(place - start, 2.0 * np.pi)
+        place = np.where(place > 2.0 * np.pi - _SAME_RAD, 0.0, place)
+    inside = np.flatnonzero((place >= at[0]) & (place <= at[-1] + _SAME_RAD))
+    if not len(inside):
+        raise ValueError("found two paths without an angle in common, expected those of one circle")
+    right = np.clip(np.searchsorted(at, place[inside]), 1, len(at) - 1)
+    share = (place[inside] - at[right - 1]) / (at[right] - at[right - 1])
+    n, rows = len(first), np.arange(len(inside))
+    weights = np.zeros((len(inside), n + len(second)))
+    weights[rows, inside] = 1.0
+    np.add.at(weights, (rows, n + order[right - 1]), -(1.0 - share))
+    np.add.at(weights, (rows, n + order[right]), -share)
+    apart = weights @ np.concatenate([np.asarray(f, float) for f in deviations])
+    largest = int(np.argmax(np.abs(apart)))
+    sign = 1.0 if apart[largest] >= 0.0 else -1.0
+    return float(abs(apart[largest])), sign * weights[largest]

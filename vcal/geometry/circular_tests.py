@@ -3,7 +3,7 @@ travels the same circles.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -15,6 +15,7 @@ from ..machine.plan import Plan
 from .circular_deviations import (
     CircularDeviations,
     circular_deviations,
+    circular_hysteresis,
     is_full_circle,
     sensitivities,
 )
@@ -90,6 +91,14 @@ def circular_tests(
         first, own = members[0], np.concatenate([p.rows for p in members])
         travelled = _travelled(members, machine)
         spread = np.linalg.norm(sensitivities(travelled, full=first.full) @ root[own], axis=1)
+        measured = circular_deviations(_travelled(members, read), first.radius, full=first.full)
+        of_machine = circular_deviations(travelled, first.radius, full=first.full)
+        u = CircularDeviations(*(float(v) for v in spread))
+        if len(members) == 2:
+            width, slope = _hysteresis(members, machine)
+            measured = replace(measured, hysteresis=_hysteresis(members, read)[0])
+            of_machine = replace(of_machine, hysteresis=width)
+            u = replace(u, hysteresis=float(np.linalg.norm(slope @ root[own])))
         found.append(
             CircularTest(
                 plane=_plane(first),
@@ -97,11 +106,9 @@ def circular_tests(
                 sense=_sense(first) if len(members) == 1 else "both",
                 radius=first.radius,
                 arc=min(p.arc for p in members),
-                measured=circular_deviations(
-                    _travelled(members, read), first.radius, full=first.full
-                ),
-                machine=circular_deviations(travelled, first.radius, full=first.full),
-                u=CircularDeviations(*(float(u) for u in spread)),
+                measured=measured,
+                machine=of_machine,
+                u=u,
             )
         )
     return found
@@ -166,11 +173,27 @@ def _travelled(
     """The actual path of one run, or both, in its plane, from the radial deviations of all rows
     (n,), m.
     """
-    first = members[0]
-    basis = np.column_stack([first.arm[0], np.cross(first.normal, first.arm[0])])
-    return np.concatenate(
-        [(first.radius + values[p.rows])[:, None] * (p.arm @ basis) for p in members]
+    radius, basis = members[0].radius, _basis(members[0])
+    return np.concatenate([(radius + values[p.rows])[:, None] * (p.arm @ basis) for p in members])
+
+
+def _hysteresis(
+    members: Sequence[_Path], values: Float[np.ndarray, " n"]
+) -> tuple[float, Float[np.ndarray, " k"]]:
+    """The circular hysteresis of a pair, m, and its derivative by the radial deviations of both
+    paths one after the other, from those of all rows (n,), m.
+    """
+    basis = _basis(members[0])
+    angles = [np.arctan2(*(p.arm @ basis).T[::-1]) for p in members]
+    deviations = [values[p.rows] for p in members]
+    return circular_hysteresis(
+        (angles[0], angles[1]), (deviations[0], deviations[1]), full=members[0].full
     )
+
+
+def _basis(path: _Path) -> Float[np.ndarray, "3 2"]:
+    """Two directions in the plane of a path: to its first position, and along the path there."""
+    return np.column_stack([path.arm[0], np.cross(path.normal, path.arm[0])])
 
 
 def _of_machine(

@@ -35,8 +35,11 @@ alone::
     u(R+)   = 4 u(s)                                  also R-
     u^2(R)  = 8 u(s)^2 + 2 u_e^2 / n
 
-U = 2 u (k = 2). The standards tabulate the same contributors for n = 5; here n is any number.
-Deviations may be in any unit; the results are in the same one.
+U = 2 u (k = 2). These coefficients are derived for any number n of runs; the tables of the
+standards, for n = 5, were not available for a comparison. That uncertainties are those of ISO/TR
+230-9:2005, annex C, and annex A is their estimation, is in the public abstract of ISO 230-2:2014
+(https://ecommerce.inn.cl/iso-230-2201448564). Deviations may be in any unit; the results are in the
+same one.
 """
 
 import math

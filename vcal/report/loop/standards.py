@@ -20,7 +20,7 @@ _UM = 1e6
 _CIRCULAR = (("circular", "G"), ("circular_least_squares", "G, least squares"))
 _CENTRED = (("radial_max_centred", "F max"), ("radial_min_centred", "F min"))
 _AS_SET_UP = (("radial_max", "F max, as set up"), ("radial_min", "F min, as set up"))
-_BOTH = (("circular", "G(b)"), ("mean_radial", "D"))
+_BOTH = (("circular", "G(b)"), ("mean_radial", "D"), ("hysteresis", "H (1996)"))
 
 
 def circular(closure: Closure, one: DataSet) -> list[CircularTest]:
@@ -49,7 +49,8 @@ def _circular_section(closure: Closure, one: DataSet) -> list[Section]:
         "G, G(b): radial separation of the minimum zone circles; least squares: radial range about "
         "the centre of the least-squares circle. F: radial deviation about that centre or, on an "
         "arc, about the one at which the bar was set up. D: mean radius of both senses minus the "
-        "nominal radius, full circles only. Readings: as measured, with noise, position of the "
+        "nominal radius, full circles only. H: circular hysteresis, the largest radial difference "
+        "of both senses, in the edition of 1996. Readings: as measured, with noise, position of the "
         "ball and length of the bar. Identified machine: without them, on the same circles; u is "
         "its standard uncertainty."
     )
