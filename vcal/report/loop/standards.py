@@ -50,9 +50,9 @@ def _circular_section(closure: Closure, one: DataSet) -> list[Section]:
         "the centre of the least-squares circle. F: radial deviation about that centre or, on an "
         "arc, about the one at which the bar was set up. D: mean radius of both senses minus the "
         "nominal radius, full circles only. H: circular hysteresis, the largest radial difference "
-        "of both senses, in the edition of 1996. Readings: as measured, with noise, position of the "
-        "ball and length of the bar. Identified machine: without them, on the same circles; u is "
-        "its standard uncertainty."
+        "of both senses, in the edition of 1996. Readings: as measured, with noise, position of "
+        "the ball and length of the bar. Identified machine: without them, on the same circles; u "
+        "is its standard uncertainty."
     )
     of = f" of {one.name}" if one.name else ""
     return [
