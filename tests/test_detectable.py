@@ -13,6 +13,7 @@ from vcal.loop.detectable import detectable
 from vcal.loop.screening.candidates import candidates
 from vcal.loop.screening.score_test import ScoreTest
 from vcal.loop.screening.screening import screen
+from vcal.loop.screening.spanned import spanned_on_plan
 
 ALPHA = 0.01
 
@@ -91,5 +92,24 @@ def test_the_loop_names_an_effect_of_that_size(fit, times, status, tmp_path):
 
 def test_what_the_model_spans_has_no_limit(fit):
     _, found = seen(fit, "tool_offset", "backlash")
-    assert [effect.key for effect in found.spanned] == ["tool_offset"]
+    assert [(one.effect.key, set(one.by)) for one in found.spanned] == [
+        ("tool_offset", {"geometric", "station"})
+    ]
     assert {x.effect.name for x in found.limits} == {"backlash"}
+
+
+def test_what_cannot_be_seen_is_known_before_a_measurement(fit):
+    """The tool points do not move by a rotation about the direction of the tool, wherever the axes
+    stand; what moves all of them alike is the place of the tracker.
+    """
+    classes = [CATALOGUE[name] for name in ("tool_offset", "angular_reversal", "backlash")]
+    for given in (fit.measurement, fit.measurement.plan):
+        found = {
+            (one.effect.key, *(p.name for p in one.effect.amplitudes)): set(one.by)
+            for one in spanned_on_plan(fit.model, given, classes)
+        }
+        assert found == {
+            ("tool_offset", "X", "Y", "Z"): {"geometric", "station"},
+            ("angular_reversal Y", "size_ECY"): set(),
+            ("angular_reversal Z", "size_ECZ"): set(),
+        }

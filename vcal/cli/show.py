@@ -20,12 +20,14 @@ from ..loop.residuals.confounded import confounding
 from ..loop.residuals.implausible import implausible
 from ..loop.residuals.times import backwards
 from ..loop.screening.candidates import candidates
+from ..loop.screening.spanned import spanned_on_plan
 from ..loop.screening.unconverted import not_shown
 from ..loop.weighing.cross_validation import Rms
 from ..machine.chain import Joint
 from ..machine.plan import Plan
 from ..model.measurement import Measurement, rows_in_words
 from ..report.html.text import COVERAGE, probability, with_uncertainty
+from ..report.loop.could_be_seen import why
 from ..report.loop.derived import FEW, Listed, declared, in_short, missing_columns, parameters
 from ..study import Study
 from ..study.csv_table import Table as CsvTable
@@ -180,6 +182,7 @@ def study_rows(study: Study) -> list[tuple[str, str]]:
         ("to be tested", _kinds(found)),
         *_aliased(found, plan),
         *_identified(study),
+        *_unseen(study),
         *(("compare", remark) for remark in remarks_of(study.instrument)),
     ]
     wanted: dict[str, list[str]] = {}
@@ -207,6 +210,16 @@ def _identified(study: Study) -> list[tuple[str, str]]:
         return []
     found = observed_errors(study.chain, study.instrument, study.plan)
     return [] if found is None else [("identified", found.words)]
+
+
+def _unseen(study: Study) -> list[tuple[str, str]]:
+    """Effects of which no size can be seen on this plan, by what takes them up."""
+    given = study.plan if study.measurement is None else study.measurement
+    alike: dict[str, dict[str, None]] = {}
+    for one in spanned_on_plan(study.model, given, study.tried) or ():
+        amplitudes = ", ".join(p.name for p in one.effect.amplitudes)
+        alike.setdefault(why(one), {})[f"{one.effect.key} ({amplitudes})"] = None
+    return [("cannot be seen", f"{', '.join(keys)}: {reason}") for reason, keys in alike.items()]
 
 
 def _aliased(effects: Iterable[Effect], plan: Plan) -> list[tuple[str, str]]:

@@ -20,9 +20,9 @@ class Alternatives:
     unexplained is certainly there (p = 1): the declared parameters have absorbed a part of it, and
     d is the change of the prediction when an empirical description is added.
 
-    Where the chosen model is no more probable than the others together, the average is predicted:
-    the prediction moves by the sum of p d, and the variance about it is that of d, the sum of p d^2
-    less the square of that sum.
+    Where it is not certain which model is right, the average is predicted: the prediction moves by
+    the sum of p d, and the variance about it is that of d, the sum of p d^2 less the square of that
+    sum. By the triangle inequality its rms error is not above the largest one of the models.
     """
 
     found: Fit

@@ -179,6 +179,14 @@ def close_loop(
         return _finish(*result)
 
 
+def _undecided(effect: FoundEffect) -> bool:
+    """Whether several models stand beside an effect: a hint, a name that is not certain, or a place
+    that the readings cannot distinguish from others (a jump of ``frame|tool``). Predictions are
+    then those of the average, whose error is not above that of the worst of them.
+    """
+    return bool(effect.hint) or effect.status == "ambiguous" or bool(effect.equivalent)
+
+
 def _found(
     item: Added, after: Fit, state: State, classes: Sequence[Shapes], room: int
 ) -> FoundEffect:
@@ -263,7 +271,7 @@ def _finish(
     found = [doubted(effect, state.fit, run.unexplained, run.untestable) for effect in found]
     found = [hinted(effect, state.fit, run.unexplained) for effect in found]
     alternatives = [
-        replace(_alternatives(item.weighed, classes), averaged=bool(effect.hint))
+        replace(_alternatives(item.weighed, classes), averaged=_undecided(effect))
         for item, effect in zip(run.added(state), found, strict=True)
     ]
     alternatives += [one.alternatives for one in classes]

@@ -28,6 +28,7 @@ from .screening.candidates import candidates
 from .screening.score_test import ScoreTest, Tested
 from .screening.screening import Screening
 from .screening.size_evidence import log_mixture
+from .screening.spanned import Spanned, spanned
 from .weighing.weighing import CERTAIN, DISTINGUISHABLE
 
 PROBABILITY = 0.95
@@ -65,8 +66,8 @@ class Detectable:
     """What a measurement could have shown."""
 
     limits: list[SmallestSize]
-    spanned: list[Effect]
-    """Effects that the model spans on this plan: no size of them can be seen."""
+    spanned: list[Spanned]
+    """Effects of which no size can be seen on this plan."""
 
 
 def detectable(
@@ -83,13 +84,8 @@ def detectable(
     state = ScoreTest(fit, 1, seed)
     every = state.tests(tried)
     tested = [one for one in every if one is not None and one.effect.name in known]
-    spanned = [
-        effect
-        for effect, one in zip(tried, every, strict=True)
-        if one is None and with_known_reference(effect) is effect
-    ]
     limits = smallest_sizes(state, screening, tested, alpha=alpha, seed=seed)
-    return Detectable(limits, spanned)
+    return Detectable(limits, spanned(state, tried, every))
 
 
 class _Step(NamedTuple):

@@ -4,9 +4,11 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from ...effects.base import Effect
 from ...effects.data_set import OfDataSet
 from ...loop.detectable import PROBABILITY, Detectable, SmallestSize, detectable
 from ...loop.outcome.closure import Closure
+from ...loop.screening.spanned import Spanned
 from ...study.study import Study
 from ..html import text
 from ..html.sheet import Section, Table
@@ -26,7 +28,7 @@ def could_be_seen(closure: Closure, study: Study) -> Detectable | None:
 
 def could_be_seen_section(seen: Detectable | None) -> list[Section]:
     """The smallest size of every effect that is named, or what is named with it."""
-    if seen is None or not seen.limits:
+    if seen is None or not (seen.limits or seen.spanned):
         return []
     effects: dict[str, list[SmallestSize]] = {}
     for limit in seen.limits:
@@ -44,7 +46,10 @@ def could_be_seen_section(seen: Detectable | None) -> list[Section]:
             tables=(
                 Table(
                     ("effect", "description", "smallest sizes that are named", "expected size"),
-                    [_row(key, limits) for key, limits in effects.items()],
+                    [
+                        *(_row(key, limits) for key, limits in effects.items()),
+                        *map(_spanned_row, seen.spanned),
+                    ],
                     "llll",
                     fold="Every effect with the smallest size that would have been named",
                 ),
@@ -54,9 +59,24 @@ def could_be_seen_section(seen: Detectable | None) -> list[Section]:
     ]
 
 
+def _spanned_row(one: Spanned) -> tuple[str, str, str, str]:
+    told = f"{', '.join(p.name for p in one.effect.amplitudes)}: cannot be seen, {why(one)}"
+    return one.effect.key, _inner(one.effect).summary, told, ""
+
+
+def why(one: Spanned) -> str:
+    """Why an effect cannot be seen: ``"taken up by geometric and station"``."""
+    if not one.by:
+        return "no reading responds"
+    return f"taken up by {' and '.join(sorted(one.by))}"
+
+
+def _inner(effect: Effect) -> Effect:
+    return effect.effect if isinstance(effect, OfDataSet) else effect
+
+
 def _row(key: str, limits: Sequence[SmallestSize]) -> tuple[str, str, str, str]:
-    effect = limits[0].effect
-    inner = effect.effect if isinstance(effect, OfDataSet) else effect
+    inner = _inner(limits[0].effect)
     sizes: dict[str, list[str]] = {}
     expected: dict[str, None] = {}
     alike: dict[str, None] = {}
@@ -89,7 +109,9 @@ def _smallest(limits: Sequence[SmallestSize]) -> Mapping[str, SmallestSize]:
 
 
 def could_be_seen_record(seen: Detectable | None) -> dict[str, Any]:
-    """The key ``smallest_sizes`` of the record; empty where there are none."""
+    """The keys ``smallest_sizes`` and ``cannot_be_seen`` of the record; empty where the search was
+    interrupted.
+    """
     if seen is None:
         return {}
     return {
@@ -103,5 +125,9 @@ def could_be_seen_record(seen: Detectable | None) -> dict[str, Any]:
                 "rivals": list(limit.rivals),
             }
             for limit in seen.limits
-        ]
+        ],
+        "cannot_be_seen": [
+            {"effect": one.effect.name, "placement": one.effect.placement, "by": list(one.by)}
+            for one in seen.spanned
+        ],
     }

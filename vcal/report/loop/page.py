@@ -75,7 +75,7 @@ def page(
             *unexplained(closure, shown),
             *([Section("Volumetric error", pictures=volumetric)] if volumetric else []),
             *tested(closure, study, shown),
-            *not_tested(closure, study),
+            *not_tested(closure, study, seen),
             *could_be_seen_section(seen),
             *geometry(closure, study, tables, tests, shown),
             *standards(closure, study),

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from ...effects.base import Effect
 from ...effects.data_set import OfDataSet
 from ...effects.registry import CATALOGUE
+from ...loop.detectable import Detectable
 from ...loop.empirical import EMPIRICAL
 from ...loop.outcome.closure import Closure
 from ...plots import minus_log10_p
@@ -94,11 +95,16 @@ def _by_round(closure: Closure, summaries: Mapping[str, str]) -> Table:
     )
 
 
-def not_tested(closure: Closure, study: Study) -> list[Section]:
-    """Effects without the columns that they need, effects that the model spans, and outliers."""
+def not_tested(closure: Closure, study: Study, seen: Detectable | None) -> list[Section]:
+    """Effects without the columns that they need, pitches and effects that the model spans, and
+    outliers. What could have been `seen` lists effects that the model spans in a section of its
+    own.
+    """
     summaries, asked = _summaries(closure, study), restricted(closure)
     missing = [(k, summaries.get(k, ""), *cells) for k, *cells in _untestable(closure)]
-    spanned = [(k, summaries.get(k, ""), at) for k, at in _grouped(closure.unseen).items()]
+    listed = () if seen is None else {one.effect.key for one in seen.spanned}
+    unseen = [key for key in closure.unseen if key not in listed]
+    spanned = [(k, summaries.get(k, ""), at) for k, at in _grouped(unseen).items()]
     header = ("effect", "description", "placements")
     lacking = Table(
         (*header, "missing columns"),
