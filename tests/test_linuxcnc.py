@@ -127,10 +127,16 @@ def route(machine, points=POINTS, seed=1):
     return Use(position, np.sign(position - before), covariates)
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(bool(linuxcnc_controller.why_not()), reason=linuxcnc_controller.why_not())
-@pytest.mark.parametrize("name", ["linuxcnc-screw", "linuxcnc"])
-@pytest.mark.parametrize("kind", ["backlashed", "tilting"])
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [  # a drive takes two minutes: the one with everything, and on demand the others
+        pytest.param("tilting", "linuxcnc", marks=pytest.mark.slow),
+        pytest.param("tilting", "linuxcnc-screw", marks=pytest.mark.campaign),
+        pytest.param("backlashed", "linuxcnc", marks=pytest.mark.campaign),
+        pytest.param("backlashed", "linuxcnc-screw", marks=pytest.mark.campaign),
+    ],
+)
 def test_on_a_running_controller(kind, name, request, record_property):
     true, machine = request.getfixturevalue(kind)
     found = vcal.compensate(machine, name, parts=False)

@@ -272,11 +272,16 @@ def test_the_fast_path_reads_the_same(tmp_path, mark, decimal):
 
 @pytest.mark.slow
 def test_a_million_rows_take_seconds(tmp_path):
-    """Of processor time, as other processes may run beside the test."""
-    write_large(tmp_path / "data.csv", large(1_000_000))
+    """Four seconds of processor time where nothing else runs; on a busy computer all takes longer,
+    so that the limit is a multiple of what numpy takes for the bare numbers.
+    """
+    path = tmp_path / "data.csv"
+    write_large(path, large(1_000_000))
     start = time.process_time()
-    assert read_table(tmp_path / "data.csv", LARGE).rows == 1_000_000
-    assert time.process_time() - start <= 5.0
+    assert read_table(path, LARGE).rows == 1_000_000
+    ours = time.process_time() - start
+    np.loadtxt(path, delimiter=",", skiprows=1)
+    assert ours <= 3.5 * (time.process_time() - start - ours)
 
 
 @pytest.mark.slow
