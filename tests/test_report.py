@@ -140,6 +140,8 @@ KEYS = {
     "untestable": list,
     "vibration": type(None),
     "unseen": list,
+    "error_motions": list,
+    "cannot_be_seen": list,
     "smallest_sizes": list,
     "settings": dict,
     "versions": dict,
@@ -1156,9 +1158,11 @@ def test_failure_leaves_nothing_behind(closed, tmp_path, monkeypatch, error):
 
 @pytest.fixture
 def quick(monkeypatch):
-    """Reports without pictures, where only their files matter."""
+    """Reports without pictures and smallest sizes, where only their files matter."""
     picture = Picture("one", "noise", "a picture", b"\x89PNG")
     monkeypatch.setattr(write, "pictures", lambda *_: [picture])
+    monkeypatch.setattr(write, "machine_pictures", lambda *_: [])
+    monkeypatch.setattr(write, "could_be_seen", lambda *_: None)
 
 
 def contents(folder):

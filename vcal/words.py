@@ -34,12 +34,13 @@ def printable(text: str, lines: bool = True) -> str:
     that stands in one line is taken without.
     """
     kept = "\n\t" if lines else ""
-    return "".join(
-        c.encode("unicode_escape").decode()
+    # A page has a million characters, but few different ones.
+    escapes = {
+        ord(c): c.encode("unicode_escape").decode()
+        for c in set(text)
         if unicodedata.category(c) in _UNSEEN and c not in kept
-        else c
-        for c in text
-    )
+    }
+    return text.translate(escapes) if escapes else text
 
 
 def unsolvable(error: Exception) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...effects.previous import posterior_of
 from ...geometry.acceptance import GeometricTest
+from ...geometry.error_motions import ErrorMotionTable
 from ...geometry.positioning_lines import PositioningTest
 from ...identification.fit import Fit
 from ...loop.detectable import Detectable
@@ -45,13 +46,15 @@ def record(
     tests: Sequence[GeometricTest] = (),
     positioned: Sequence[PositioningTest] = (),
     *,
+    motions: Sequence[ErrorMotionTable] = (),
     seen: Detectable | None = None,
     command: str = "",
     seconds: float = math.nan,
 ) -> dict[str, Any]:
     """All results of a closure as plain values; see `SCHEMA`.
 
-    `tests` of the geometry are the content of `geometry`, `positioned` that of `positioning`, which
+    `tests` of the geometry are the content of `geometry`, `motions` that of `error_motions`,
+    `positioned` that of `positioning`, which
     only studies with such tests have. A study with several data sets also has `data_sets`, the
     share of each; one with a double ball bar also has `circular_tests`. `seen` is the content of
     `smallest_sizes`, which an interrupted search does not have.
@@ -95,6 +98,7 @@ def record(
         ],
         "errors": {name: _errors(errors) for name, errors in closure.errors.items()},
         "geometry": [_test(test) for test in tests],
+        "error_motions": [_motion(motion) for motion in motions],
         "unexplained": _unexplained(closure.unexplained, closure.after),
         "variance": closure.variance,
         "noise_scale": closure.noise_scale,
@@ -139,6 +143,22 @@ def record(
     found |= could_be_seen_record(seen)
     found |= {"positioning": [positioning_record(one) for one in positioned]} if positioned else {}
     return plain(found)
+
+
+def _motion(one: ErrorMotionTable) -> dict[str, Any]:
+    """Curve of an error motion, or a location error, which has no positions."""
+    values = (one.value, one.u, one.information)
+    shown, u, share = ([float(f"{v:.6g}") for v in column] for column in values)
+    return {
+        "name": one.name,
+        "axis": one.axis,
+        "position_unit": one.position_unit,
+        "position": [float(f"{x:.9g}") for x in one.position],
+        "unit": one.unit,
+        "value": shown,
+        "standard_uncertainty": u,
+        "information_share": share,
+    }
 
 
 def _confirmation(one: Confirmation) -> dict[str, Any]:

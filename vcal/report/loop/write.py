@@ -95,7 +95,7 @@ def write_report(
             closure, study, tables, drawn, tests, positioned,
             machine=machine, files=files, seen=seen, **run,
         )  # fmt: skip
-        found = record(closure, study, tests, positioned, seen=seen, **run)
+        found = record(closure, study, tests, positioned, motions=tables, seen=seen, **run)
         return Contents(found, {"index.html": shown, **texts}, drawn)
 
     return _folder().publish(out, make)
