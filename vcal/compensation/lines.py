@@ -76,17 +76,6 @@ class Product:
         return np.interp(first, self.nodes[0], self.a) * np.interp(second, self.nodes[1], self.b)
 
 
-def refuse_travel(machine: IdentifiedMachine) -> str | None:
-    """Why a machine has no tables: an axis without a travel."""
-    short = [a for a, (low, high) in zip(machine.axes, machine.volume, strict=True) if low >= high]
-    if not short:
-        return None
-    return (
-        f"found no travel of {', '.join(short)}, expected two different ends: a table has a "
-        "distance between its points; declare [machine] travel"
-    )
-
-
 def lines_of(
     machine: IdentifiedMachine,
     nodes: Mapping[str, Float[np.ndarray, " nodes"]],

@@ -23,9 +23,8 @@ from pydantic import Field as Key
 from ..base import FORMATS, Covariates, Format, Options, Tables, at_inside
 from ..fields import Field, field_of, spaced
 from ..headers import conditions_in_words, header
-from ..lines import refuse_travel
 from ..machine import IdentifiedMachine
-from .linuxcnc_axes import AXES, refuse_axes
+from ..refusals import AXES, refuse_axes, refuse_travel
 
 _STEP_M, _DIGITS = 1e-9, 6
 

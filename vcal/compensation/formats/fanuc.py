@@ -25,9 +25,8 @@ from pydantic import Field as Key
 
 from ..base import FORMATS, Covariates, Format, Options, Tables, at_inside
 from ..headers import conditions_in_words, header
-from ..lines import refuse_travel
 from ..machine import IdentifiedMachine
-from .linuxcnc_axes import AXES, refuse_axes
+from ..refusals import AXES, refuse_axes, refuse_travel
 
 _MOST, _LARGEST = 128, 7
 _NUMBER = r"[+-]?\d+(\.\d*)?"

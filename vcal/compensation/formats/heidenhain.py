@@ -25,9 +25,9 @@ from pydantic import Field as Key
 from ..base import FORMATS, Covariates, Format, Options, Tables, at_inside
 from ..fields import spaced
 from ..headers import conditions_in_words, header
-from ..lines import Line, lines_of, refuse_travel
+from ..lines import Line, lines_of
 from ..machine import IdentifiedMachine
-from .linuxcnc_axes import refuse_axes
+from ..refusals import refuse_axes, refuse_travel
 
 _MOST, _SLOPE = 256, 64.0
 _STEP_M, _DIGITS = 1e-7, 4

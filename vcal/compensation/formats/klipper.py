@@ -23,9 +23,9 @@ from pydantic import Field as Key
 from ..base import FORMATS, Covariates, Format, Options, Tables, at_inside
 from ..fields import spaced
 from ..headers import conditions_in_words, header
-from ..lines import lines_of, refuse_travel
+from ..lines import lines_of
 from ..machine import IdentifiedMachine
-from .linuxcnc_axes import AXES, refuse_axes
+from ..refusals import AXES, refuse_axes, refuse_travel
 
 _NODES, _DIGITS = 11, 9
 

@@ -17,7 +17,7 @@ from pydantic import Field as Key
 from ..base import FORMATS, Covariates, Format, Options, Tables, at_inside
 from ..headers import conditions_in_words, header
 from ..machine import IdentifiedMachine
-from .linuxcnc_axes import refuse_axes
+from ..refusals import refuse_axes
 
 _ROWS = 256
 _STEP_M = 1e-9

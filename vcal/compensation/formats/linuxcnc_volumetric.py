@@ -19,7 +19,7 @@ from ..base import FORMATS, Covariates, Format, Options, Tables, at_inside
 from ..fields import Field, conditions_of, field_of
 from ..headers import conditions_in_words, header, outside
 from ..machine import IdentifiedMachine
-from .linuxcnc_axes import refuse_axes
+from ..refusals import refuse_axes
 
 _COMPONENT = Path(__file__).with_name("linuxcnc_component.py.txt")
 _NAME = "vcal-comp"

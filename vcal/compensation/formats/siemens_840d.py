@@ -26,9 +26,9 @@ from pydantic import Field as Key
 from ..base import FORMATS, Covariates, Format, Options, Tables, at_inside
 from ..fields import spaced
 from ..headers import conditions_in_words, header
-from ..lines import Line, Product, lines_of, products_of, refuse_travel
+from ..lines import Line, Product, lines_of, products_of
 from ..machine import IdentifiedMachine
-from .linuxcnc_axes import AXES, refuse_axes
+from ..refusals import AXES, refuse_axes, refuse_travel
 
 _MOST = 801
 _STEP_M, _DIGITS = 1e-9, 6
