@@ -24,12 +24,14 @@ from ..machine.chain import Chain
 from ..machine.parameters import Parameter
 from ..machine.plan import Plan
 from ..machine.ports import PortLayout
-from ..model.forward import tool_points_with_jacobian
+from ..model.forward import tool_points, tool_points_with_jacobian
 from ..units import si_factor
 from .parts import GEOMETRY, Kind, Part, in_order, part_names, part_of
 
 _BLOCK = 256
 """Rows that are evaluated together: one program is compiled for a chain, whatever the points."""
+_MANY = 2048
+"""Rows above which a function without derivatives is compiled, for as many rows at a time."""
 _NODES = 41
 _STEPS = 2
 """Iterations of a correction; each leaves the 1e-4 th part of what the one before has left."""
@@ -362,7 +364,7 @@ class IdentifiedMachine:
         """Actual tool points in the frame of the workpiece, m; of `rivals` that are averaged, the
         average.
         """
-        return self._evaluated(plan, self._ports(plan)[0])[0] + self._averages(plan)
+        return self._points(plan) + self._averages(plan)
 
     def _averages(self, plan: Plan) -> Float[np.ndarray, "n 3"]:
         found = np.zeros((plan.rows, 3))
@@ -415,6 +417,23 @@ class IdentifiedMachine:
                     moved = by_port[:, :, self.layout.index(port)] * column[:, None]
                     variance += moved**2
         return np.sqrt(variance)
+
+    def _points(self, plan: Plan) -> Float[np.ndarray, "n 3"]:
+        """Tool points without averages: of a program with its many rows by a function without
+        derivatives, of few rows by the one that everything else compiles.
+        """
+        if plan.rows <= _MANY:
+            return self._evaluated(plan, self._ports(plan)[0])[0]
+        ports = np.zeros((len(self.layout), plan.rows))
+        for one in self._columns(plan):
+            p = one.declared
+            ports[one.port] += one.values * (p.mean * p.si + self.theta[one.parameter] * p.step)
+        position = np.asarray(plan.position)
+        points = []
+        for first in range(0, plan.rows, _MANY):
+            rows = np.minimum(np.arange(first, first + _MANY), plan.rows - 1)
+            points.append(np.asarray(tool_points(self.chain, position[rows], ports[:, rows].T)))
+        return np.concatenate(points)[: plan.rows]
 
     def _evaluated(self, plan: Plan, ports: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Tool points and their derivatives by the ports, in blocks of one size."""

@@ -7,7 +7,7 @@ import numpy as np
 from ...errors import StudyError
 from .options import Displacement
 
-SIZES = (256, 4096, 65536)
+SIZES = (256, 2048, 16384)
 """Numbers of rows with which a displacement is called, so that few programs are compiled."""
 _CONVERGED_M = 1e-9
 _ITERATIONS = 20
