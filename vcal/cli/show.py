@@ -2,6 +2,7 @@
 
 import inspect
 import math
+import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
@@ -215,11 +216,16 @@ def _identified(study: Study) -> list[tuple[str, str]]:
 def _unseen(study: Study) -> list[tuple[str, str]]:
     """Effects of which no size can be seen on this plan, by what takes them up."""
     given = study.plan if study.measurement is None else study.measurement
-    alike: dict[str, dict[str, None]] = {}
+    alike: dict[str, dict[str, set[str]]] = {}
     for one in spanned_on_plan(study.model, given, study.tried) or ():
-        amplitudes = ", ".join(p.name for p in one.effect.amplitudes)
-        alike.setdefault(why(one), {})[f"{one.effect.key} ({amplitudes})"] = None
-    return [("cannot be seen", f"{', '.join(keys)}: {reason}") for reason, keys in alike.items()]
+        words = " ".join(p.name for p in one.effect.amplitudes)
+        errors = re.findall(r"(?<![A-Z])E[A-CX-Z][A-Z]\d*(?![A-Z])", words)
+        alike.setdefault(why(one), {}).setdefault(one.effect.key, set()).update(errors)
+    rows = []
+    for reason, keys in alike.items():
+        named = [f"{key} ({', '.join(sorted(of))})" if of else key for key, of in keys.items()]
+        rows.append(("not visible", f"{', '.join(named)}: {reason}"))
+    return rows
 
 
 def _aliased(effects: Iterable[Effect], plan: Plan) -> list[tuple[str, str]]:
