@@ -12,7 +12,8 @@ from oracle import TABLE, as_study, lmmse, make_case, write_study
 from vcal import Measurement, Model, identify, load_study, predict
 from vcal.identification.fit import null_directions
 from vcal.instruments.ball_array import ArtefactPoses
-from vcal.loop.weighing.cross_validation import check_rms, heldout_residuals, rms
+from vcal.loop.weighing import cross_validation
+from vcal.loop.weighing.cross_validation import _by_leverage, check_rms, heldout_residuals, rms
 from vcal.model.declared_noise import declared_whitener
 from vcal.model.simulate import simulate
 
@@ -262,6 +263,25 @@ def test_held_out_residuals_against_a_refit_balls(balls):
         expected = seen - own @ np.linalg.lstsq(own, seen, rcond=None)[0]
         assert np.linalg.norm(got[rows].ravel() - expected) < 0.01 * np.linalg.norm(expected)
         assert np.linalg.norm(expected) > 1.1 * np.linalg.norm(fit.residual[rows])
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_held_out_residuals_by_leverage_are_those_by_a_downdate(balls, seed, monkeypatch):
+    """Folds of fewer readings than there are parameters, each with a pose of its own."""
+    fit = identify(balls.model, noisy(balls, seed), room=balls.room)
+    taken = []
+
+    def by_leverage(roots, r):
+        taken.append(_by_leverage(roots, r) is not None)
+        return _by_leverage(roots, r)
+
+    monkeypatch.setattr(cross_validation, "_by_leverage", by_leverage)
+    fast = heldout_residuals(fit)
+    assert taken and all(taken)
+    monkeypatch.setattr(cross_validation, "_by_leverage", lambda *_: None)
+    exact = heldout_residuals(fit)
+    scale = np.sqrt(np.nanmean(exact**2, axis=0))
+    np.testing.assert_allclose(fast / scale, exact / scale, atol=1e-9)
 
 
 # --- evidence ------------------------------------------------------------------------------------

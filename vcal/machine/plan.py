@@ -171,8 +171,19 @@ class Plan(Record):
         return Plan(self.axes, position, found)
 
     def take(self, rows) -> "Plan":
-        """The given rows only."""
-        pick = lambda table: {k: jnp.asarray(v)[rows] for k, v in table.items()}  # noqa: E731
+        """The given rows only.
+
+        In numpy where rows and columns are known: jax would compile a program for every number of
+        rows.
+        """
+        plain = known(rows) or isinstance(rows, slice | list)
+
+        def pick(table):
+            return {
+                k: (np.asarray(v) if plain and known(v) else jnp.asarray(v))[rows]
+                for k, v in table.items()
+            }
+
         return Plan(
             self.axes,
             self.position[rows],

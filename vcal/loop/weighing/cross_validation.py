@@ -19,6 +19,9 @@ from ...numerics.spatial import after_alignment, align_rigid
 _BLOCK, _BLOCKS = 8, 25
 """Least number of rows in a block that is predicted together, and about the largest number of
 blocks in a fold."""
+_OWN, _SHARED = 1e-9, 1e-4
+"""Share of a direction of the readings of a fold that the other folds leave: below the first, only
+the fold determines it; above the second, others do."""
 _FEW = 12
 """Least number of folds whose scatter gives the standard error of a sum over them."""
 _ALL = 0.99
@@ -63,9 +66,10 @@ def heldout_residuals(fit: Fit) -> np.ndarray:
     determine the prediction.
 
     Rotating folds are left out by the exact downdate of the linearised problem, d = -(H -
-    J_g'J_g)^-1 J_g'r_g. Parameters with a flat prior that only this fold determines (the pose of an
-    artefact) are then re-estimated from the fold with all others fixed. Folds that are never fitted
-    are predicted directly.
+    J_g'J_g)^-1 J_g'r_g. Of a fold with fewer readings than there are parameters, the same follows
+    from its leverage G = J_g H^-1 J_g', without a factor of its own: (1 - G)^-1 r_g. Parameters
+    with a flat prior that only this fold determines (the pose of an artefact) are then re-estimated
+    from the fold with all others fixed. Folds that are never fitted are predicted directly.
     """
     folds, apart = folds_of(fit.model, fit.measurement)
     n, m = fit.residual.shape
@@ -76,33 +80,77 @@ def heldout_residuals(fit: Fit) -> np.ndarray:
     # A shape parameter that only this fold determines stays within its grid.
     precision = fit.within_scans
     whitened = (fit.whitened - fit.jacobian @ _left(fit, total, precision)).reshape(n, m)
+    roots = _leverage_roots(fit.jacobian, total, precision).reshape(n, m, -1)
     for fold in np.unique(folds[folds >= 0]):
         rows = np.flatnonzero((folds == fold) & fit.used)
         if not len(rows):
             continue
         j = jacobian[rows].reshape(-1, jacobian.shape[2])
         r = whitened[rows].reshape(-1)
-        basis, own = own_parameters(j, total, precision)
-        j, common = j @ basis, ~own
-        rest = basis.T @ total @ basis - j.T @ j
-        h = rest[np.ix_(common, common)] + np.diag(precision[common])
-        # Stationarity of the whole fit: the gradient of the other folds is minus that of this fold.
-        # The fold's own parameters do not affect the other folds.
-        try:
-            factor = cho_factor(h)
-        except np.linalg.LinAlgError:
+        predicted = _by_leverage(roots[rows].reshape(len(r), -1), r)
+        if predicted is None:
+            predicted = _by_downdate(j, r, total, precision)
+        if predicted is None:
             continue  # the other folds do not determine what this one is predicted from
-        delta = -cho_solve(factor, j[:, common].T @ r)
-        predicted = r - j[:, common] @ delta
-        if own.any():
-            q, _ = np.linalg.qr(j[:, own])
-            predicted = predicted - q @ (q.T @ predicted)
         unwhiten = np.linalg.inv(fit.whitener[rows])
         found[rows] = np.einsum("nij,nj->ni", unwhiten, predicted.reshape(len(rows), m))
     chosen = fit.measurement.holdout
     if chosen is not None and chosen.unpredicted is not None:
         found[chosen.unpredicted] = np.nan
     return found
+
+
+def _leverage_roots(jacobian: np.ndarray, total: np.ndarray, precision: np.ndarray) -> np.ndarray:
+    """Z (readings, k) with Z Z' = J H^-1 J'; no columns where H has no factor."""
+    h = total + np.diag(precision)
+    diagonal = np.diag(h)
+    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    try:
+        lower = np.linalg.cholesky(h * scale[:, None] * scale)
+    except np.linalg.LinAlgError:
+        return np.zeros((len(jacobian), 0))
+    return solve_triangular(lower, (jacobian * scale).T, lower=True).T
+
+
+def _by_leverage(roots: np.ndarray, r: np.ndarray) -> np.ndarray | None:
+    """Whitened residuals of a fold that is predicted by the others; None where the fold is larger
+    than the parameters, or where it is not plain what only the fold determines.
+
+    An eigenvalue of 1 - G is the share of a direction of the readings that the other folds leave:
+    zero for the parameters that only this fold determines, which are projected out.
+    """
+    if len(r) >= roots.shape[1]:
+        return None
+    seen = roots.any(axis=1)  # a reading that does not exist stays exactly zero
+    z, predicted = roots[seen], r.copy()
+    left, directions = np.linalg.eigh(np.eye(len(z)) - z @ z.T)
+    if np.any((left > _OWN) & (left < _SHARED)):
+        return None
+    kept = left >= _SHARED
+    predicted[seen] = directions[:, kept] @ ((directions[:, kept].T @ r[seen]) / left[kept])
+    return predicted
+
+
+def _by_downdate(
+    j: np.ndarray, r: np.ndarray, total: np.ndarray, precision: np.ndarray
+) -> np.ndarray | None:
+    """The same from the information of the other folds; None where they do not determine it."""
+    basis, own = own_parameters(j, total, precision)
+    j, common = j @ basis, ~own
+    rest = basis.T @ total @ basis - j.T @ j
+    h = rest[np.ix_(common, common)] + np.diag(precision[common])
+    # Stationarity of the whole fit: the gradient of the other folds is minus that of this fold.
+    # The fold's own parameters do not affect the other folds.
+    try:
+        factor = cho_factor(h)
+    except np.linalg.LinAlgError:
+        return None
+    delta = -cho_solve(factor, j[:, common].T @ r)
+    predicted = r - j[:, common] @ delta
+    if own.any():
+        q, _ = np.linalg.qr(j[:, own])
+        predicted = predicted - q @ (q.T @ predicted)
+    return predicted
 
 
 def _left(fit: Fit, total: np.ndarray, precision: np.ndarray) -> np.ndarray:
