@@ -21,6 +21,7 @@ from vcal.cli.show import show_closure
 from vcal.effects import Setup, load_effects
 from vcal.effects.data_set import OfDataSet
 from vcal.geometry.acceptance import geometric_tests
+from vcal.geometry.error_field import ErrorField
 from vcal.geometry.error_motions import ErrorMotionTable
 from vcal.identification.model_averaging import Alternatives
 from vcal.instruments.ball_array import BallCalibration
@@ -1007,10 +1008,8 @@ def test_labels_have_room_on_machines_of_any_size(half, picture):
     rng = np.random.default_rng(0)
     if picture == "field":
         nodes = dict.fromkeys("XYZ", np.linspace(-half, half, 8))
-        errors = rng.normal(size=(3, 8, 8, 3))
-        drawn = plots.field(
-            plots.Field(("X", "Y", "Z"), nodes, errors, errors, errors[..., 0] ** 2)
-        )
+        errors = rng.normal(size=(8, 8, 8, 3))
+        drawn = plots.field(ErrorField(nodes, errors, errors, errors[..., 0] ** 2))
     else:
         points = SimpleNamespace(tool_point=rng.uniform(-half, half, (50, 3)))
         names = ("uncompensated", "before", "after")
