@@ -34,12 +34,11 @@ def printable(text: str, lines: bool = True) -> str:
     that stands in one line is taken without.
     """
     kept = "\n\t" if lines else ""
-    return "".join(
-        c.encode("unicode_escape").decode()
-        if unicodedata.category(c) in _UNSEEN and c not in kept
-        else c
-        for c in text
-    )
+    # The characters of a text are few, and a page has millions.
+    unseen = {c for c in set(text) if unicodedata.category(c) in _UNSEEN and c not in kept}
+    for c in unseen:
+        text = text.replace(c, c.encode("unicode_escape").decode())
+    return text
 
 
 def unsolvable(error: Exception) -> str:

@@ -1,5 +1,6 @@
 """Common style of all figures: type size, palette, units and column names as labels."""
 
+import functools
 import io
 from collections.abc import Mapping, Sequence
 
@@ -103,6 +104,7 @@ def titled(ax: Axes, title: str, x: str = "", y: str = "") -> None:
         ax.set_ylabel(y, fontsize=9.5, color=INK)
 
 
+@functools.lru_cache(4096)
 def width_of(text: str) -> float:
     """Width of a label, inches."""
     if not text:

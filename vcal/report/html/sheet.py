@@ -13,6 +13,7 @@ from .scene import Scene, script, script_hash
 
 Tone = Literal["good", "plain", "caution", "bad"]
 _SIDES = {"l": "", "r": "n", "c": "code"}
+_FEW_ROWS, _MANY_COLUMNS = 8, 8
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,12 @@ class Table:
     def classes(self) -> tuple[str, ...]:
         """Style class of every column."""
         return tuple(_SIDES[side] for side in self.align or "l" * len(self.header))
+
+    @property
+    def kind(self) -> str:
+        """Style class of the whole: few rows stay on one printed page, many columns are small."""
+        few, many = len(self.rows) <= _FEW_ROWS, len(self.header) >= _MANY_COLUMNS
+        return " ".join(["short"] * few + ["wide"] * many)
 
     def style(self, row: int, column: int) -> str:
         """Style classes of one cell."""

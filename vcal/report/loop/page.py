@@ -53,9 +53,9 @@ def page(
 ) -> str:
     """The page as one self-contained HTML text, pictures included.
 
-    `scenes` show the volumetric error in space; `machine` is the declared machine, whose pictures are among `drawn`; `files` describe the files
-    beside it by their names; `seen` is what the measurement could have shown; `seconds` is the run
-    time of the loop.
+    `scenes` show the volumetric error in space; `machine` is the declared machine, whose pictures
+    are among `drawn`; `files` describe the files beside it by their names; `seen` is what the
+    measurement could have shown; `seconds` is the run time of the loop.
     """
     shown = by_section(drawn)
     pictures, turned = shown.get("volumetric", ()), tuple(scenes)
