@@ -28,10 +28,6 @@ _WINDOWS = (
     "Microsoft/Edge/Application/msedge.exe",
 )
 _LONGEST_S = 180
-_BY_HAND = (
-    "or open {page} in any browser and print it to a PDF there: the page has a style for print, "
-    "and the result is the same"
-)
 
 
 def find_browser() -> str:
@@ -44,8 +40,9 @@ def find_browser() -> str:
             return found
     raise StudyError(
         "option --pdf: found no Chromium, Chrome or Edge, expected one of them, which prints the "
-        "page; install one (on Debian or Ubuntu: apt install chromium), "
-        + _BY_HAND.format(page="the page of the report")
+        "page; install one (on Debian or Ubuntu: apt install chromium), or leave the option out, "
+        "open the page of the report in any browser and print it to a PDF there: the page has a "
+        "style for print, and the result is the same"
     )
 
 
@@ -87,13 +84,14 @@ def print_page(page: Path, browser: str = "") -> Path:
         if not fresh.is_file() or not (data := fresh.read_bytes()).startswith(b"%PDF-"):
             raise StudyError(
                 f"option --pdf: {browser} printed nothing ({said[-1] if said else 'no message'}), "
-                "expected a PDF; try another Chromium or Chrome, " + _BY_HAND.format(page=page)
+                f"expected a PDF; try another Chromium or Chrome, or open {page} in any browser and "
+                "print it to a PDF there: the result is the same"
             )
     add_file(page.parent, printed.name, data)
     return printed
 
 
 def _as_root() -> list[str]:
-    """Chromium refuses to run as root in its sandbox; the page is vcal's own and fetches nothing."""
+    """Chromium refuses to run as root in its sandbox; the page is vcal's own, fetches nothing."""
     root = hasattr(os, "geteuid") and os.geteuid() == 0
     return ["--no-sandbox"] if root else []
