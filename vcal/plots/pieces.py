@@ -75,11 +75,13 @@ def cut(drawn: Figure) -> Pieces:
     return Pieces(whole, tuple(rows), smallest_text(drawn), bool(bars))
 
 
-def smallest_text(drawn: Figure) -> float:
-    """Size of the smallest text that is drawn, pixels; infinite without any."""
+def smallest_text(drawn: Figure, dpi: float = DPI) -> float:
+    """Size of the smallest text that is drawn, pixels of which `dpi` make an inch (96 in an SVG
+    file); zero without any.
+    """
     texts = [t for t in drawn.findobj(Text) if isinstance(t, Text) and t.get_visible()]
     sizes = (t.get_fontsize() for t in texts if t.get_text())
-    return float(min(sizes, default=np.inf)) * DPI / 72.0
+    return float(min(sizes, default=0.0)) * dpi / 72.0
 
 
 def _box(ax: Axes, height: int) -> tuple[float, float, float, float]:

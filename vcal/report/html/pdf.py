@@ -84,8 +84,8 @@ def print_page(page: Path, browser: str = "") -> Path:
         if not fresh.is_file() or not (data := fresh.read_bytes()).startswith(b"%PDF-"):
             raise StudyError(
                 f"option --pdf: {browser} printed nothing ({said[-1] if said else 'no message'}), "
-                f"expected a PDF; try another Chromium or Chrome, or open {page} in any browser and "
-                "print it to a PDF there: the result is the same"
+                f"expected a PDF; try another Chromium or Chrome, or open {page} in any browser "
+                "and print it to a PDF there: the result is the same"
             )
     add_file(page.parent, printed.name, data)
     return printed

@@ -178,7 +178,7 @@ function show(figure, number_of) {
       slider.max = line.length - 1;
       slider.value = state.node;
       var words = LETTERS[state.part] + ' = ' + number(line[state.node], 5) + ' mm';
-      place.querySelector('span').textContent = words;
+      place.querySelector('span').textContent = 'Position ' + words;
       slider.setAttribute('aria-valuetext', words);
     }
     var by = '\u00d7 ' + String(magnification()).replace(/\B(?=(\d{3})+$)/g, '\u202f');

@@ -130,8 +130,8 @@ def _unexplained(closure: Closure) -> str:
         assert isinstance(best.effect, Changing)
         return (
             f"Size of {best.effect.effect.key} from parts of the readings, with two standard "
-            "uncertainties. Black: from all of them together; blue: by the empirical description, "
-            "which describes the residual and does not explain it."
+            "uncertainties. Line across: from all of them together; blue: by the empirical "
+            "description, which describes the residual and does not explain it."
         )
     caption = f"Residual of the tool point that no effect explains. {_DOTS}"
     if what.where:
