@@ -1,6 +1,8 @@
 """The report: complete, strict, self-contained, and written whole or not at all."""
 
+import base64
 import dataclasses
+import hashlib
 import itertools
 import json
 import math
@@ -45,6 +47,7 @@ from vcal.plots.views import View, effect_view, residual_without
 from vcal.registry import unchanged
 from vcal.report import check_folder, effects_csv, formats, record, write_report
 from vcal.report.html import text
+from vcal.report.html.scene import script
 from vcal.report.loop import write
 from vcal.report.loop.derived import in_short, parameters
 from vcal.report.loop.own_effect import own_effect
@@ -475,8 +478,16 @@ def test_page_is_self_contained_and_says_what_matters(written):
     beside = [t for t in targets if not t.startswith(("data:image/", "#"))]
     assert beside == ["report.json", "compensation.csv", "effects.csv", "machine.json"]
     assert set(beside) < set(strict(written / "report.json")["files"])
-    plain = re.sub('data:image/[a-z+]*;base64,[^"]*', "", page)
-    assert not any(word in plain for word in ("<script", "http", "@import", "url("))
+    plain = re.sub('data:image/[a-z+]*;base64,[^"]*', "", page).replace("http-equiv", "")
+    # One scene as data, and the script that draws scenes: the policy of the page names its hash.
+    kinds, scripts = zip(*re.findall(r"<script([^>]*)>(.*?)</script>", plain, re.S), strict=True)
+    assert kinds == (' type="application/json"', "") and scripts[1] == script()
+    digest = base64.b64encode(hashlib.sha256(scripts[1].encode()).digest()).decode()
+    assert f"script-src 'sha256-{digest}'" in plain
+    assert len("".join(scripts)) < 100_000
+    without = re.sub(r"<script.*?</script>", "", plain, flags=re.S)
+    assert not any(word in without for word in ("<script", "http", "@import", "url("))
+    assert not any(word in scripts[1] for word in ("http", "fetch", "import", "eval", "innerHTML"))
     for words in (
         "The declared model lacked backlash Y.",
         "U (k = 2)",
