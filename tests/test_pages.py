@@ -93,9 +93,9 @@ def test_a_scene_is_data_that_ends_no_script():
     content = json.loads(scene.json)
     (layer,), (places,) = content["layers"], content["places"]
     assert content["title"] == layer["name"] == words
-    assert places["points"] == [0, 1, 2, 1000, 0, 0, 123457, 0, 0]
+    assert places["points"] == [0, 1, 2, 1000, 0, 0, 123460, 0, 0]
     values = [np.nan if v is None else v * layer["step"] for v in layer["values"]]
-    np.testing.assert_allclose(np.reshape(values, (3, 3)), vectors, atol=0.0021)
+    np.testing.assert_allclose(np.reshape(values, (3, 3)), vectors, atol=0.0041)
     page = sheet(words, words, [Section(words, (words,), scenes=(scene,))])
     assert re.findall("<script[^>]*>", page) == ['<script type="application/json">', "<script>"]
     assert "<img" not in page
@@ -110,7 +110,7 @@ def test_a_grid_is_stored_by_its_axes():
     assert content["places"] == [{"nodes": [line.tolist() for line in nodes]}]
     (layer,) = content["layers"]
     assert not layer["vectors"]
-    np.testing.assert_allclose(np.array(layer["values"]) * layer["step"], sizes, atol=0.006)
+    np.testing.assert_allclose(np.array(layer["values"]) * layer["step"], sizes, atol=0.0111)
 
 
 def test_control_characters_of_a_long_text():

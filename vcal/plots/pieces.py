@@ -103,7 +103,7 @@ def _bands(ink: Bool[np.ndarray, "h w"], axes: Sequence[Axes], boxes: np.ndarray
     for gap in _gaps(boxes[:, 2:]):
         above = np.isclose(boxes[:, 3], gap[0])
         labelled = all(_labels(ax, "x") for ax, last in zip(axes, above, strict=True) if last)
-        if labelled and (middle := _blank(~ink.any(1), gap)) is not None:
+        if labelled and (middle := _blank(ink.any(1), gap)) is not None:
             at.append(middle)
     return zip(at, [*at[1:], len(ink)], strict=True)
 
@@ -122,7 +122,7 @@ def _row(
         right = [i for i in inside if np.isclose(boxes[i, 0], gap[1])]
         if bars.intersection(right):
             continue
-        if (middle := _blank(~ink.any(0), gap)) is not None:
+        if (middle := _blank(ink.any(0), gap)) is not None:
             at.append(middle)
     strip = _strip(pixels, boxes, inside)
     found = []
@@ -159,10 +159,11 @@ def _gaps(intervals: np.ndarray) -> list[tuple[float, float]]:
     return gaps
 
 
-def _blank(blank: Bool[np.ndarray, " n"], gap: tuple[float, float]) -> int | None:
-    """The middle of the longest run of blank lines inside a gap; None without any."""
+def _blank(inked: np.ndarray | np.bool, gap: tuple[float, float]) -> int | None:
+    """The middle of the longest run of lines (n,) without ink inside a gap; None without any."""
     low, high = int(np.ceil(gap[0])), int(np.floor(gap[1]))
-    steps = np.diff(np.concatenate([[0], blank[low:high].astype(int), [0]]))
+    blank = ~np.asarray(inked)[low:high]
+    steps = np.diff(np.concatenate([[0], blank.astype(int), [0]]))
     begins, ends = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
     if not len(begins):
         return None

@@ -1,9 +1,9 @@
 /* Draws the scenes of a page: errors at places in space, which the reader can turn. */
 (function () {
 'use strict';
-var VIRIDIS = [[68, 1, 84], [71, 45, 123], [59, 82, 139], [44, 114, 142], [33, 145, 140], [40, 174, 128],
+/* Viridis with a lighter low end, and a dark ground in both colour schemes: both ends stay visible. */
+var VIRIDIS = [[122, 92, 168], [98, 100, 172], [70, 110, 166], [44, 122, 158], [33, 145, 140], [40, 174, 128],
   [94, 201, 98], [173, 220, 48], [253, 231, 37]];
-/* The field is drawn on a dark ground in both colour schemes: the ends of the scale stay visible. */
 var GROUND = '#10161d', INK = '#e4e9ee', EDGE = '#5b6875', FAINT = '#36424e';
 var FONT = '12px system-ui, "DejaVu Sans", Arial, sans-serif';
 var LONGEST = 0.13;  /* of the diagonal: the largest error at the initial magnification */
@@ -120,7 +120,7 @@ function show(figure, number_of) {
   var common = make('input', { type: 'checkbox' });
   common.checked = true;
   common.addEventListener('change', function () { state.common = common.checked; adapt(); draw(); });
-  field('One scale for all', common).className = 'tick';
+  field('One scale for all layers', common).className = 'tick';
   function look(azimuth, elevation) {
     return function () { state.azimuth = azimuth; state.elevation = elevation; draw(); };
   }
@@ -230,7 +230,7 @@ function show(figure, number_of) {
     var toward = sum(level, Math.cos(state.elevation), scene.up, Math.sin(state.elevation));
     var right = sum(second_axis, Math.cos(state.azimuth), first_axis, -Math.sin(state.azimuth));
     var upward = cross(toward, right);
-    var room = height - 56, scale = state.zoom * 0.94 * Math.min(width - 60, room) / diagonal;
+    var room = height - 56, scale = state.zoom * Math.min(width - 90, 1.25 * room) / diagonal;
     function on(p) {
       var d = sum(p, 1, middle, -1);
       return [width / 2 + scale * dot(d, right), room / 2 + 4 - scale * dot(d, upward), dot(d, toward)];

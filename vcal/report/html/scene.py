@@ -18,9 +18,9 @@ import numpy as np
 from jaxtyping import Float
 from markupsafe import Markup
 
-_STEPS = 1000
+_STEPS = 500
 """Numbers of a layer are multiples of its largest one over this: more cannot be seen."""
-_DIGITS = 6
+_DIGITS = 5
 """Significant digits of a place."""
 
 
@@ -89,13 +89,13 @@ def _layer(layer: Layer) -> dict[str, Any]:
     assert values is not None
     known = np.isfinite(values)
     step = float(f"{float(np.abs(values).max(initial=0.0, where=known)) / _STEPS or 1.0:.6g}")
-    whole = np.rint(np.where(known, values, 0.0) / step).astype(int)
+    whole = np.rint(np.where(known, values, 0.0) / step).astype(int).ravel().tolist()
     return {
         "name": layer.name,
         "places": layer.places,
         "vectors": layer.vectors is not None,
         "step": step,
-        "values": np.where(known, whole.astype(object), None).ravel().tolist(),
+        "values": [v if k else None for v, k in zip(whole, known.ravel(), strict=True)],
     }
 
 

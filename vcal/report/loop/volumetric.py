@@ -44,11 +44,10 @@ def volumetric_errors(closure: Closure) -> VolumetricErrors:
     """The volumetric errors of a closed loop."""
     fits = {"uncompensated": closure.nominal, "before": closure.before, "after": closure.after}
     check = closure.check
-    many = check is not None and check.tool_point.shape[0] >= _FEWEST
-    return VolumetricErrors(
-        error_field(closure.before, closure.after, check, closure.alternatives),
-        plots.check_errors(fits, check) if many else {},
-    )
+    field = error_field(closure.before, closure.after, check, closure.alternatives)
+    if check is None or check.tool_point.shape[0] < _FEWEST:
+        return VolumetricErrors(field, {})
+    return VolumetricErrors(field, plots.check_errors(fits, check))
 
 
 def scenes(closure: Closure, errors: VolumetricErrors) -> list[Scene]:
