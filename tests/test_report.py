@@ -284,7 +284,7 @@ def test_page_says_where_doubt_is_part_of_the_uncertainty(closed, monkeypatch):
         1,
     ]
     assert "no allowance for the choice of the model" not in page(certain, study, [], [])
-    monkeypatch.setattr(plots, "png", lambda figure: b"")
+    monkeypatch.setattr(plots, "cut", lambda figure: plots.Pieces(b"", (), 0.0, False))
     monkeypatch.setattr(plots, "error_motions", lambda tables: None)
     for one in (certain, doubted):
         (shown,) = (p for p in pictures(one, ["a table"]) if p.name == "error_motions")
