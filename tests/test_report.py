@@ -575,7 +575,7 @@ def test_every_round_tells_what_was_added_in_it(closed):
 @pytest.mark.campaign
 def test_caption_of_the_search_tells_what_was_dropped(closed, monkeypatch):
     closure = closed[2]
-    monkeypatch.setattr(plots, "png", lambda figure: b"")
+    monkeypatch.setattr(plots, "cut", lambda figure: plots.Pieces(b"", (), 0.0, False))
 
     def caption(**changed):
         shown = pictures(dataclasses.replace(closure, **changed), [])
