@@ -9,6 +9,7 @@ import pytest
 from known import Known
 from oracle import make_case, write_study
 from vcal import CheckPoints, Effect, Measurement, Model, close_loop, identify, load_study
+from vcal.geometry.error_field import error_field
 from vcal.geometry.error_motions import error_motion_tables
 from vcal.identification.fit import Fit
 from vcal.identification.model_averaging import Alternatives
@@ -17,7 +18,6 @@ from vcal.loop.screening.score_test import ScoreTest
 from vcal.loop.weighing.cross_validation import check_rms
 from vcal.loop.weighing.rivals import Rival, refit_all
 from vcal.loop.weighing.weighing import CERTAIN, classes_of, weigh
-from vcal.plots import error_field
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,8 @@
 """The report: complete, strict, self-contained, and written whole or not at all."""
 
+import base64
 import dataclasses
+import hashlib
 import itertools
 import json
 import math
@@ -21,6 +23,7 @@ from vcal.cli.show import show_closure
 from vcal.effects import Setup, load_effects
 from vcal.effects.data_set import OfDataSet
 from vcal.geometry.acceptance import geometric_tests
+from vcal.geometry.error_field import ErrorField
 from vcal.geometry.error_motions import ErrorMotionTable
 from vcal.identification.model_averaging import Alternatives
 from vcal.instruments.ball_array import BallCalibration
@@ -44,6 +47,7 @@ from vcal.plots.views import View, effect_view, residual_without
 from vcal.registry import unchanged
 from vcal.report import check_folder, effects_csv, formats, record, write_report
 from vcal.report.html import text
+from vcal.report.html.scene import script
 from vcal.report.loop import write
 from vcal.report.loop.derived import in_short, parameters
 from vcal.report.loop.own_effect import own_effect
@@ -282,7 +286,7 @@ def test_page_says_where_doubt_is_part_of_the_uncertainty(closed, monkeypatch):
         1,
     ]
     assert "no allowance for the choice of the model" not in page(certain, study, [], [])
-    monkeypatch.setattr(plots, "png", lambda figure: b"")
+    monkeypatch.setattr(plots, "cut", lambda figure: plots.Pieces(b"", (), 0.0, False))
     monkeypatch.setattr(plots, "error_motions", lambda tables: None)
     for one in (certain, doubted):
         (shown,) = (p for p in pictures(one, ["a table"]) if p.name == "error_motions")
@@ -476,8 +480,16 @@ def test_page_is_self_contained_and_says_what_matters(written):
     beside = [t for t in targets if not t.startswith(("data:image/", "#"))]
     assert beside == ["report.json", "compensation.csv", "effects.csv", "machine.json"]
     assert set(beside) < set(strict(written / "report.json")["files"])
-    plain = re.sub('data:image/[a-z+]*;base64,[^"]*', "", page)
-    assert not any(word in plain for word in ("<script", "http", "@import", "url("))
+    plain = re.sub('data:image/[a-z+]*;base64,[^"]*', "", page).replace("http-equiv", "")
+    # One scene as data, and the script that draws scenes: the policy of the page names its hash.
+    kinds, scripts = zip(*re.findall(r"<script([^>]*)>(.*?)</script>", plain, re.S), strict=True)
+    assert kinds == (' type="application/json"', "") and scripts[1] == script()
+    digest = base64.b64encode(hashlib.sha256(scripts[1].encode()).digest()).decode()
+    assert f"script-src 'sha256-{digest}'" in plain
+    assert len("".join(scripts)) < 100_000
+    without = re.sub(r"<script.*?</script>", "", plain, flags=re.S)
+    assert not any(word in without for word in ("<script", "http", "@import", "url("))
+    assert not any(word in scripts[1] for word in ("http", "fetch", "import", "eval", "innerHTML"))
     for words in (
         "The declared model lacked backlash Y.",
         "U (k = 2)",
@@ -565,7 +577,7 @@ def test_every_round_tells_what_was_added_in_it(closed):
 @pytest.mark.campaign
 def test_caption_of_the_search_tells_what_was_dropped(closed, monkeypatch):
     closure = closed[2]
-    monkeypatch.setattr(plots, "png", lambda figure: b"")
+    monkeypatch.setattr(plots, "cut", lambda figure: plots.Pieces(b"", (), 0.0, False))
 
     def caption(**changed):
         shown = pictures(dataclasses.replace(closure, **changed), [])
@@ -1009,10 +1021,8 @@ def test_labels_have_room_on_machines_of_any_size(half, picture):
     rng = np.random.default_rng(0)
     if picture == "field":
         nodes = dict.fromkeys("XYZ", np.linspace(-half, half, 8))
-        errors = rng.normal(size=(3, 8, 8, 3))
-        drawn = plots.field(
-            plots.Field(("X", "Y", "Z"), nodes, errors, errors, errors[..., 0] ** 2)
-        )
+        errors = rng.normal(size=(8, 8, 8, 3))
+        drawn = plots.field(ErrorField(nodes, errors, errors, errors[..., 0] ** 2))
     else:
         points = SimpleNamespace(tool_point=rng.uniform(-half, half, (50, 3)))
         names = ("uncompensated", "before", "after")

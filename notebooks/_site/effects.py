@@ -15,6 +15,7 @@ from vcal.cli.start_studies import example
 from vcal.effects import CATALOGUE
 from vcal.report.effects.page import needs, use
 from vcal.report.effects.pictures import picture
+from vcal.report.effects.related import Related, related
 from vcal.report.html.sheet import Section
 from vcal.study.study import looked_for
 
@@ -48,6 +49,8 @@ def effects() -> str:
 def _pages() -> Iterator[tuple[str, str | bytes]]:
     """File names with their content."""
     vcal.enable_float64()
+    examples = {name: example(effect) for name, effect in CATALOGUE.items()}
+    others = related(list(CATALOGUE.values()), examples)
     for effect in CATALOGUE.values():
         # The list at the side of every page names what there is to read, not every effect.
         text = ":orphan:\n\n" + rst.heading(effect.name, "=")
@@ -55,7 +58,7 @@ def _pages() -> Iterator[tuple[str, str | bytes]]:
         text += rst.text(f"{effect.summary[:1].upper()}{effect.summary[1:]}.") + "\n\n"
         text += f"Disturbs the {effect.where}; {effect.kind}.\n\n"
         text += rst.text(inspect.cleandoc(effect.__doc__ or "")) + "\n\n"
-        found = example(effect)
+        found = examples[effect.name]
         if found is not None:
             instance, setup = found
             drawn = picture(instance, setup)
@@ -64,7 +67,18 @@ def _pages() -> Iterator[tuple[str, str | bytes]]:
             text += f".. figure:: {drawn.file}\n   :alt: {effect.name}\n\n   {drawn.caption}\n\n"
             text += _section(use(instance, looked_for(effect)))
             yield drawn.file, drawn.data
+        text += _related(others[effect.name])
         yield f"{effect.name}.rst", text
+
+
+def _related(others: Related) -> str:
+    """Links to the related effects."""
+    by_column = f"Effects that depend on the same column, {others.column}"
+    found = rst.heading("Related effects", "-") if others.rivals or others.family else ""
+    for words, names in ((by_column, others.rivals), ("Of the same cause", others.family)):
+        links = ", ".join(f":doc:`{name} </{FOLDER.as_posix()}/{name}>`" for name in names)
+        found += f"{rst.text(words)}: {links}.\n\n" if names else ""
+    return found
 
 
 def _section(section: Section) -> str:

@@ -14,6 +14,7 @@ import typer
 from .. import __version__
 from ..demo import starts
 from ..words import counted
+from .printing import browser_for, print_with
 from .session import INTERRUPTED, guarded, leave, listen, say, start, tell, working
 
 app = typer.Typer(
@@ -63,6 +64,13 @@ ReportFolder = Annotated[
         metavar="PATH",
         help="Folder for the report: a new folder, or the folder of an earlier report, which is "
         "replaced unless a file in it was changed.",
+    ),
+]
+Pdf = Annotated[
+    bool,
+    typer.Option(
+        "--pdf",
+        help="Print the page to a PDF beside it, with an installed Chromium, Chrome or Edge.",
     ),
 ]
 Seed = Annotated[
@@ -142,6 +150,7 @@ def loop(
     ] = False,
     override: Override = None,
     trust: Trust = False,
+    pdf: Pdf = False,
 ) -> None:
     """Find the effects that the declared model lacks, identify them, and write a report.
 
@@ -164,20 +173,21 @@ def loop(
         command.append("--compensate-anyway")
     for text in override or []:
         command += ["--set", text]
-    command += ["--trust"] if trust else []
-    _close(setup, out, given, shlex.join(command), trust, compensate_anyway)
+    command += [*["--trust"] * trust, *["--pdf"] * pdf]
+    _close(setup, out, given, shlex.join(command), trust, compensate_anyway, pdf)
 
 
 @app.command()
 @guarded
 def demo(
     out: ReportFolder = Path("vcal-demo"),
+    pdf: Pdf = False,
 ) -> None:
     """Run `loop` on a bundled laser-tracker measurement with an undeclared effect."""
     from ..demo import FOLDER
 
-    command = ["vcal", "demo", "--out", str(out)]
-    _close(FOLDER / "setup.toml", out, [], shlex.join(command))
+    command = ["vcal", "demo", "--out", str(out), *["--pdf"] * pdf]
+    _close(FOLDER / "setup.toml", out, [], shlex.join(command), pdf=pdf)
 
 
 def _close(
@@ -187,6 +197,7 @@ def _close(
     command: str,
     trust: bool = False,
     compensate_anyway: bool = False,
+    pdf: bool = False,
 ) -> None:
     began = time.perf_counter()
     start()
@@ -197,6 +208,7 @@ def _close(
     from .show import show_closure
 
     check_folder(out)  # before the work, not after it
+    browser = browser_for(pdf)
     with working("reading the study") as progress:
         study = load_study(setup, overrides, trust=trust)
         check_folder(out, (study.folder / name for name in study.hashes))
@@ -219,6 +231,7 @@ def _close(
         )
     show_closure(closure)
     say(f"Report: {page}")
+    print_with(browser, page)
     if closure.interrupted:
         tell("interrupted: the report holds the results so far")
         raise typer.Exit(INTERRUPTED)
@@ -480,6 +493,7 @@ def uncertainty(
     ] = 1,
     override: Override = None,
     trust: Trust = False,
+    pdf: Pdf = False,
 ) -> None:
     """Predict the uncertainty that a measurement plan will give, by GUM and by Monte Carlo.
 
@@ -490,13 +504,14 @@ def uncertainty(
     start()
     from .uncertainty import run_virtual
 
+    browser = browser_for(pdf)
     command = ["vcal", "uncertainty", str(setup), "--out", str(out), "--draws", draws]
     command += ["--seed", str(seed), "--noise-factor", f"{noise_factor:g}"]
     command += ["--digits", str(digits)]
     for option, texts in (("--with", with_), ("--set", override)):
         for text in texts or []:
             command += [option, text]
-    command += ["--trust"] if trust else []
+    command += [*["--trust"] * trust, *["--pdf"] * pdf]
     done = run_virtual(
         setup,
         out,
@@ -511,6 +526,7 @@ def uncertainty(
     )
     say(done.sentence)
     say(f"Report: {done.page}")
+    print_with(browser, done.page)
     if done.interrupted:
         tell("interrupted: the report holds the results so far; the same command resumes")
         raise typer.Exit(INTERRUPTED)
@@ -546,6 +562,7 @@ def design(
     seed: Seed = 0,
     override: Override = None,
     trust: Trust = False,
+    pdf: Pdf = False,
 ) -> None:
     """Improve a measurement plan before measuring, or plan the next measurement.
 
@@ -557,12 +574,13 @@ def design(
     start()
     from .design import run_design
 
+    browser = browser_for(pdf)
     command = ["vcal", "design", str(setup), "--out", str(out), *(["--next"] if following else [])]
     command += ["--seed", str(seed)]
     for option, texts in (("--separate", separate), ("--set", override)):
         for text in texts or []:
             command += [option, text]
-    command += ["--trust"] if trust else []
+    command += [*["--trust"] * trust, *["--pdf"] * pdf]
     with working("reading the study") as progress:
         done = run_design(
             setup,
@@ -578,6 +596,7 @@ def design(
     for sentence in done.sentences:
         say(sentence)
     say(f"Report: {done.page}")
+    print_with(browser, done.page)
 
 
 @app.command()

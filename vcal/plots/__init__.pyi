@@ -4,20 +4,20 @@ from .effect_signature import Signature, signature, signatures
 from .labels import pretty_unit
 from .loop_search import minus_log10_p, search
 from .motions import error_motions
+from .pieces import Piece, Pieces, cut, smallest_text
 from .residuals import before_after, normal_plot, unexplained, unexplained_views
 from .style import png, svg
 from .views import View, column_of, effect_view, place_of, values_of
 from .volumetric_errors import (
-    Field,
     check_errors,
     check_points,
-    error_field,
     error_over_time,
     field,
 )
 
 __all__ = [
-    "Field",
+    "Piece",
+    "Pieces",
     "Signature",
     "View",
     "axis_label",
@@ -26,8 +26,8 @@ __all__ = [
     "check_errors",
     "check_points",
     "column_of",
+    "cut",
     "effect_view",
-    "error_field",
     "error_motions",
     "error_over_time",
     "field",
@@ -40,6 +40,7 @@ __all__ = [
     "search",
     "signature",
     "signatures",
+    "smallest_text",
     "svg",
     "unexplained",
     "unexplained_views",

@@ -1,8 +1,6 @@
 """Volumetric errors: at check points, over the travel, and of an arm over time."""
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,12 +8,12 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
-from ..geometry.compensated import compensated_in_blocks, compensated_points
+from ..geometry.compensated import compensated_points
+from ..geometry.error_field import ErrorField
 from ..identification.fit import Fit
-from ..identification.model_averaging import Alternatives, model_average
 from ..loop.weighing.cross_validation import heldout_residuals, squared_errors
 from ..model.measurement import CheckPoints
-from ..numerics.spatial import after_alignment, align_rigid
+from ..numerics.spatial import after_alignment
 from ..words import three_digits
 from .mid_planes import PLANES, PlaneRow, colour_bar, mid_planes
 from .style import (
@@ -33,104 +31,25 @@ from .style import (
     titled,
 )
 
-_NODES = (8, 13)
-"""Fewest and most grid points along an axis."""
-_NOTHING_UM = 1e-9
 
-
-@dataclass(frozen=True)
-class Field:
-    """Volumetric error in three mid-planes of the travel, after rigid alignment."""
-
-    axes: tuple[str, ...]
-    nodes: Mapping[str, np.ndarray]
-    """Grid along each axis, m."""
-    error: np.ndarray
-    """Identified error, actual - nominal: (planes, n, n, 3), um."""
-    change: np.ndarray
-    """Its change by closing the loop, (planes, n, n, 3), um."""
-    u: np.ndarray
-    """Standard uncertainty of the length of the error vector, (planes, n, n), um."""
-
-
-def error_field(
-    before: Fit,
-    after: Fit,
-    check: CheckPoints | None = None,
-    alternatives: Sequence[Alternatives] = (),
-) -> Field | None:
-    """The identified error field of a machine with the axes X, Y and Z; None for other machines,
-    and for models without any dependence on the position.
-
-    It contains only what depends on the axis positions alone: no direction, temperature or time.
-    With check points, the size of the grid follows from their number, so that nothing has to be
-    compiled again. The uncertainty includes the between-model variance of the `alternatives`.
-    """
-    chain = after.model.chain
-    if set(chain.axes) != set("XYZ"):
-        return None
-    size = check.plan.rows if check is not None else 0
-    nodes = int(np.clip(math.isqrt(size // len(PLANES)), *_NODES)) if size else _NODES[1]
-    plan = after.measurement.plan
-    line, middle = {}, {}
-    for axis in chain.axes:
-        low, high = chain.joint(axis).travel
-        if not np.isfinite([low, high]).all():
-            low, high = np.asarray(plan.x(axis)).min(), np.asarray(plan.x(axis)).max()
-        line[axis] = np.linspace(low, high, nodes)
-        middle[axis] = 0.5 * (low + high)
-    position = np.concatenate([_plane(chain.axes, line, middle, *pair) for pair in PLANES])
-    order = [chain.axes.index(axis) for axis in "XYZ"]
-    nominal = position[:, order] + np.asarray(chain.tool_offset)
-
-    def points(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
-        return compensated_in_blocks(fit, position, size or len(position))
-
-    def identified(fit: Fit) -> np.ndarray:
-        return -after_alignment(points(fit)[0], nominal)[0]
-
-    found, jacobian = points(after)
-    left, turn = after_alignment(found, nominal)
-    moved, between = model_average(alternatives, identified, np.zeros_like(nominal))
-    errors = [1e6 * identified(before), 1e6 * (moved - left)]
-    free = align_rigid(nominal, turn @ jacobian)
-    variance = ((free @ after.covariance) * free).sum((1, 2))
-    variance += between.sum(1)
-    shape = (len(PLANES), nodes, nodes)
-    if variance.max() == 0.0 and max(np.abs(e).max() for e in errors) < _NOTHING_UM:
-        return None
-    return Field(
-        axes=chain.axes,
-        nodes=line,
-        error=errors[1].reshape(*shape, 3),
-        change=(errors[1] - errors[0]).reshape(*shape, 3),
-        u=np.sqrt(variance).reshape(shape) * 1e6,
-    )
-
-
-def _plane(axes: Sequence[str], line, middle, first: str, second: str) -> np.ndarray:
-    """Positions (n n, axes) of a mid-plane, the other axes in the middle of their travel."""
-    n = len(line[first])
-    block = np.tile([middle[axis] for axis in axes], (n, n, 1))
-    block[:, :, axes.index(first)] = line[first][:, None]
-    block[:, :, axes.index(second)] = line[second]
-    return block.reshape(-1, len(axes))
-
-
-def field(values: Field) -> Figure:
+def field(values: ErrorField) -> Figure:
     """Heat maps over three mid-planes: identified error, uncertainty, change by the loop."""
+    error, u, change = (
+        [values.plane(one, *plane) for plane in PLANES]
+        for one in (values.error, values.u, values.change)
+    )
     rows = [
-        _row("identified error", values.error),
-        PlaneRow("standard uncertainty", list(values.u)),
-        _row("changed by closing the loop", values.change),
+        _row("identified error", error),
+        PlaneRow("standard uncertainty", u),
+        _row("changed by closing the loop", change),
     ]
-    if np.linalg.norm(values.change, axis=-1).max() <= 1e-3:
+    if np.linalg.norm(change, axis=-1).max() <= 1e-3:
         rows = rows[:2]
     return mid_planes(values.nodes, rows)
 
 
-def _row(title: str, vectors: np.ndarray) -> PlaneRow:
-    return PlaneRow(title, list(np.linalg.norm(vectors, axis=-1)), list(vectors))
+def _row(title: str, vectors: Sequence[np.ndarray]) -> PlaneRow:
+    return PlaneRow(title, [np.linalg.norm(one, axis=-1) for one in vectors], vectors)
 
 
 def check_errors(fits: Mapping[str, Fit], check: CheckPoints) -> dict[str, np.ndarray]:

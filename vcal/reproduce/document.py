@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from ..plots import png
 from ..report import Picture, Section, Table
 from ..report.html.text import DASH, number, unit
 
@@ -48,7 +47,7 @@ def section(title: str, text: str, shown: Callable[[str], Table | Figure]) -> Se
             if isinstance(one, Table):
                 found = replace(found, tables=(*found.tables, replace(one, note=words)))
             else:
-                picture = Picture(mark[1:], "", words, png(one))
+                picture = Picture.of(mark[1:], "", words, one)
                 found = replace(found, pictures=(*found.pictures, picture))
         elif block:
             found = replace(found, paragraphs=(*found.paragraphs, block))

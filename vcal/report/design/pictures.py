@@ -16,7 +16,7 @@ from ...plots.designs import (
     uncertainties,
     worth,
 )
-from ...plots.style import AFTER, BEFORE, png
+from ...plots.style import AFTER, BEFORE
 from ..html.picture import Picture
 
 ANGLES = (
@@ -35,26 +35,26 @@ def pictures(done: Designed) -> Iterator[Picture]:
             "one (right); the box is the travel."
         )
         views = [view_of(*plan) for plan in plans]
-        yield Picture("places", "places", caption, png(places_views(travel_of(task), views)))
+        yield Picture.of("places", "places", caption, places_views(travel_of(task), views))
     turned = [angles_of(*plan) for plan in plans]
     if turned[0].travel:
-        yield Picture("angles", "places", ANGLES, png(angles_views(turned)))
+        yield Picture.of("angles", "places", ANGLES, angles_views(turned))
     before, after = space.artefact(done.nominal), space.artefact(done.best)
     if before is not None and after is not None:
         caption = (
             "Balls of the present and of the designed artefact from two sides, with their numbers."
         )
-        yield Picture("artefact", "artefact", caption, png(artefact_views(before, after)))
+        yield Picture.of("artefact", "artefact", caption, artefact_views(before, after))
     caption = (
         "Largest expanded uncertainty (k = 2) of every error motion and squareness along its axis: "
         "before any measurement (bar), with the present plan (orange), as designed (blue)."
     ) + of_lines(task)
     rows = uncertain(task, done.prior, done.before, done.after)
     drawn = uncertainties(rows, ("present plan", "designed"))
-    yield Picture("uncertainties", "uncertainties", caption, png(drawn))
+    yield Picture.of("uncertainties", "uncertainties", caption, drawn)
     caption = f"Increase of the criterion when one {space.group} is left out."
     drawn = worth(space.groups, done.worse_after, space.group)
-    yield Picture("worth", "worth", caption, png(drawn))
+    yield Picture.of("worth", "worth", caption, drawn)
 
 
 def of_lines(task: Task) -> str:

@@ -3,7 +3,7 @@
 import inspect
 import math
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from ...effects.base import Effect, Setup
 from ...instruments.conditions import file_name
@@ -12,13 +12,27 @@ from ...words import counted
 from ..html.picture import Picture
 from ..html.sheet import Section, Table, sheet
 from ..html.text import DASH, number, sentence_of, unit
+from .related import Related
 
 Example = tuple[Effect, Setup]
 """An instance of an effect, on a plan that has everything it needs."""
 
 
-def page(effect: type[Effect], example: Example | None, drawn: Picture | None = None) -> str:
-    """The page of an effect as HTML, with the picture of its signature."""
+INDEX = "index.html"
+"""File of the list of effects."""
+
+
+def page(
+    effect: type[Effect],
+    example: Example | None,
+    drawn: Picture | None = None,
+    others: Related | None = None,
+    summaries: Mapping[str, str] | None = None,
+) -> str:
+    """The page of an effect as HTML, with the picture of its signature.
+
+    `others` are the related effects, whose pages lie beside this one; `summaries` describe them.
+    """
     text = inspect.cleandoc(effect.__doc__ or "").split("\n\n")
     paragraphs = tuple(" ".join(part.replace("`", "").split()) for part in text)
     sections = [Section("Definition", paragraphs)]
@@ -27,6 +41,8 @@ def page(effect: type[Effect], example: Example | None, drawn: Picture | None = 
         if drawn is not None:
             sections.append(Section("Signature", pictures=(drawn,)))
         sections.append(use(example[0], looked_for(effect)))
+    if others is not None:
+        sections.append(related_effects(others, summaries or {}))
     return sheet(
         effect.name,
         sentence_of(effect.summary),
@@ -34,6 +50,29 @@ def page(effect: type[Effect], example: Example | None, drawn: Picture | None = 
         kicker="vcal effects",
         facts=[("disturbs", f"the {effect.where}"), ("kind", effect.kind)],
     )
+
+
+def related_effects(others: Related, summaries: Mapping[str, str]) -> Section:
+    """The related effects with links to their pages, and a link to the list of all."""
+    by_column = f"depends on the same column: {others.column}"
+    reasons = {
+        name: "; ".join(
+            ["same cause"] * (name in others.family) + [by_column] * (name in others.rivals)
+        )
+        for name in dict.fromkeys((*others.rivals, *others.family))
+    }
+    rows = [(name, summaries.get(name, ""), why) for name, why in reasons.items()]
+    whole = "The catalogue of effects"
+    return Section(
+        "Related effects",
+        ("Effects that depend on the same column may be mistaken for one another: the loop "
+         "separates them by how the readings depend on the other columns.",) * bool(others.rivals),
+        tables=(
+            Table(("effect", "description", "related because"), rows,
+                  links={name: f"{name}.html" for name in reasons}),
+            Table(("",), [(whole,)], links={whole: INDEX}),
+        ),
+    )  # fmt: skip
 
 
 def catalogue(effects: Sequence[type[Effect]]) -> str:

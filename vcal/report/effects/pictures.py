@@ -1,7 +1,7 @@
 """The picture of an effect: its signature on a plan."""
 
 from ...effects.base import Effect, Setup
-from ...plots import png, signature, signatures
+from ...plots import signature, signatures
 from ..html.picture import Picture
 
 
@@ -12,4 +12,4 @@ def picture(instance: Effect, setup: Setup) -> Picture:
         "the parameter moves the tool point most, on a bundled plan; searched parameters are at "
         "the middle of their scan."
     )
-    return Picture(instance.name, "", caption, png(signature(signatures(instance, setup))))
+    return Picture.of(instance.name, "", caption, signature(signatures(instance, setup)))

@@ -134,11 +134,8 @@ class ReportFolder:
 
     def _content(self, out: Path) -> dict[str, Any]:
         """The record in a folder; empty where there is none of this kind."""
-        try:
-            content = json.loads((out / self.record).read_text(encoding="utf-8"))
-            return content if str(content["schema"]).startswith(self.schema) else {}
-        except (OSError, ValueError, KeyError, TypeError, RecursionError):
-            return {}
+        content = _content_of(out / self.record)
+        return content if str(content.get("schema", "")).startswith(self.schema) else {}
 
     def _seal(self, work: Path, files: Sequence[str]) -> None:
         """Add the sums of all files to the record; its own sum is that without them."""
@@ -161,6 +158,43 @@ class ReportFolder:
         if earlier:
             found[self.record] = _sum(_text(content).encode())
         return [n for n, value in found.items() if sums.get(n) != value], True
+
+
+def add_file(out: Path, name: str, data: bytes) -> None:
+    """Add a file to the report in a folder, whose record lists it from then on.
+
+    A later report in the same folder replaces or removes it, as all files of this one. Raises
+    `StudyError` where the folder holds no report, and where it holds another file of this name.
+    """
+    for path in sorted(out.glob("*.json")):
+        content = _content_of(path)
+        sums = content.get(_SUMS)
+        if not isinstance(sums, dict) or path.name not in content.get("files", []):
+            continue
+        if (out / name).exists() and name not in content["files"]:
+            expected = "no file of that name, or that of an earlier report"
+            raise _refused(out, f"{name}, which is no part of the report", expected, "rename it")
+        (out / name).write_bytes(data)
+        others = [one for one in content["files"] if one not in (name, path.name)]
+        content["files"] = [*others, name, path.name]
+        sums = {one: value for one, value in sums.items() if one != path.name}
+        bare = {key: value for key, value in content.items() if key != _SUMS}
+        both = {**bare, _SUMS: sums | {name: _sum(data)}}
+        both[_SUMS][path.name] = _sum(_text(bare).encode())
+        fresh = path.with_name(f".{path.name}.fresh")
+        fresh.write_text(_text(both), encoding="utf-8")
+        os.replace(fresh, path)
+        return
+    raise _refused(out, "no report", "the folder of a report", "write the report first")
+
+
+def _content_of(path: Path) -> dict[str, Any]:
+    """A record; empty where the file is none."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        return content if isinstance(content, dict) else {}
+    except (OSError, ValueError, RecursionError):
+        return {}
 
 
 def _refused(out: Path, found: str, expected: str, action: str) -> StudyError:

@@ -8,10 +8,12 @@ from typing import Any, Literal
 import jinja2
 
 from ...words import printable
-from .picture import Picture
+from .picture import Picture, address
+from .scene import Scene, script, script_hash
 
 Tone = Literal["good", "plain", "caution", "bad"]
 _SIDES = {"l": "", "r": "n", "c": "code"}
+_FEW_ROWS, _MANY_COLUMNS = 8, 8
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,12 @@ class Table:
         """Style class of every column."""
         return tuple(_SIDES[side] for side in self.align or "l" * len(self.header))
 
+    @property
+    def kind(self) -> str:
+        """Style class of the whole: few rows stay on one printed page, many columns are small."""
+        few, many = len(self.rows) <= _FEW_ROWS, len(self.header) >= _MANY_COLUMNS
+        return " ".join(["short"] * few + ["wide"] * many)
+
     def style(self, row: int, column: int) -> str:
         """Style classes of one cell."""
         hit = "hit" if (row, column) in self.marked else ""
@@ -98,6 +106,8 @@ class Section:
     """Whether it is a subsection: a smaller heading, and no link at the top of the page."""
     badge: Badge | None = None
     """A framed word after the heading of a subsection."""
+    scenes: tuple[Scene, ...] = ()
+    """Pictures that the reader can turn, above the others; a page shows them with a script only."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +117,7 @@ class Fragment:
     sections: tuple[Section, ...]
 
     def _repr_html_(self) -> str:
-        return _render("sections.html.j2", sections=self.sections)
+        return _render("fragment.html.j2", sections=self.sections)
 
 
 def sheet(
@@ -136,6 +146,7 @@ def sheet(
         warnings=warnings,
         tiles=tiles,
         sections=sections,
+        scripted=any(section.scenes for section in sections),
     )
 
 
@@ -151,4 +162,5 @@ def _render(template: str, **values: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.globals |= {"address": address, "script": script, "script_hash": script_hash}
     return printable(environment.get_template(template).render(**values))

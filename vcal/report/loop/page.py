@@ -13,6 +13,7 @@ from ...study.study import Study
 from ..html import text
 from ..html.picture import Picture, by_section
 from ..html.provenance import plain, provenance_section
+from ..html.scene import Scene
 from ..html.sheet import Badge, Section, Tile, sheet
 from ..machine.section import machine_sections
 from .could_be_seen import could_be_seen_section
@@ -43,6 +44,7 @@ def page(
     tests: Sequence[GeometricTest] = (),
     positioned: Sequence[PositioningTest] = (),
     *,
+    scenes: Sequence[Scene] = (),
     machine: DeclaredMachine | None = None,
     files: Mapping[str, str] | None = None,
     seen: Detectable | None = None,
@@ -51,12 +53,13 @@ def page(
 ) -> str:
     """The page as one self-contained HTML text, pictures included.
 
-    `machine` is the declared machine, whose pictures are among `drawn`; `files` describe the files
-    beside it by their names; `seen` is what the measurement could have shown; `seconds` is the run
-    time of the loop.
+    `scenes` show the volumetric error in space; `machine` is the declared machine, whose pictures
+    are among `drawn`; `files` describe the files beside it by their names; `seen` is what the
+    measurement could have shown; `seconds` is the run time of the loop.
     """
     shown = by_section(drawn)
-    volumetric = shown.get("volumetric", ())
+    pictures, turned = shown.get("volumetric", ()), tuple(scenes)
+    volumetric = [Section("Volumetric error", pictures=pictures, scenes=turned)] * bool(pictures)
     settings = {k: v for k, v in plain(closure.settings).items() if k != "effects"}
     quoted = {
         "settings": ", ".join(f"{key} = {value}" for key, value in settings.items()),
@@ -73,7 +76,7 @@ def page(
             *recorded_responses(closure),
             *declared_effects(closure),
             *unexplained(closure, shown),
-            *([Section("Volumetric error", pictures=volumetric)] if volumetric else []),
+            *volumetric,
             *tested(closure, study, shown),
             *not_tested(closure, study, seen),
             *could_be_seen_section(seen),

@@ -12,17 +12,22 @@ from ...loop.outcome.closure import Closure
 from ...loop.weighing.cross_validation import held_apart
 from ..html.picture import Picture
 from ..html.text import number, percent
+from .volumetric import LEAST_CHANGE_UM, VolumetricErrors, volumetric_errors
 
 _DOTS = "Small dots: readings; large dots: group means with two standard errors."
 
 
-def pictures(closure: Closure, tables: Sequence[ErrorMotionTable]) -> Iterator[Picture]:
-    """All pictures in the order of the page."""
+def pictures(
+    closure: Closure, tables: Sequence[ErrorMotionTable], errors: VolumetricErrors | None = None
+) -> Iterator[Picture]:
+    """All pictures in the order of the page; `errors` of the closure are computed where they are
+    not given.
+    """
     yield from _effects(closure)
     if closure.unexplained is not None:
         figure = plots.unexplained(closure.after, closure.unexplained)
-        yield Picture("unexplained", "unexplained", _unexplained(closure), plots.png(figure))
-    yield from _errors(closure)
+        yield Picture.of("unexplained", "unexplained", _unexplained(closure), figure)
+    yield from _errors(closure, errors or volumetric_errors(closure))
     if tables:
         figure = plots.error_motions(tables)
         caption = (
@@ -37,10 +42,10 @@ def pictures(closure: Closure, tables: Sequence[ErrorMotionTable]) -> Iterator[P
             )
         else:
             caption += "Where blue is as wide as grey, the data give no information."
-        yield Picture("error_motions", "geometry", caption, plots.png(figure))
+        yield Picture.of("error_motions", "geometry", caption, figure)
     if closure.screenings:
         figure = plots.search(closure.screenings, float(closure.settings["alpha"]))
-        yield Picture("search", "tried", _search(closure), plots.png(figure))
+        yield Picture.of("search", "tried", _search(closure), figure)
     figure = plots.normal_plot(
         closure.before, closure.after, _enlarged(closure.before, closure.after)
     )
@@ -49,7 +54,7 @@ def pictures(closure: Closure, tables: Sequence[ErrorMotionTable]) -> Iterator[P
         "noise as declared; steeper: larger than declared; curved at the ends: outliers or a "
         "missing effect."
     )
-    yield Picture("noise", "noise", caption, plots.png(figure))
+    yield Picture.of("noise", "noise", caption, figure)
 
 
 def _search(closure: Closure) -> str:
@@ -114,7 +119,7 @@ def _effects(closure: Closure) -> Iterator[Picture]:
         name = f"effect_{i:0{len(str(len(closure.effects)))}}_{key}"
         if data_set:
             name, caption = f"{name}_in_{data_set}", f"Data set {data_set}. {caption}"
-        yield Picture(name, f"effect {i}", caption, plots.png(plots.before_after(view, key)))
+        yield Picture.of(name, f"effect {i}", caption, plots.before_after(view, key))
 
 
 def _unexplained(closure: Closure) -> str:
@@ -125,8 +130,8 @@ def _unexplained(closure: Closure) -> str:
         assert isinstance(best.effect, Changing)
         return (
             f"Size of {best.effect.effect.key} from parts of the readings, with two standard "
-            "uncertainties. Black: from all of them together; blue: by the empirical description, "
-            "which describes the residual and does not explain it."
+            "uncertainties. Line across: from all of them together; blue: by the empirical "
+            "description, which describes the residual and does not explain it."
         )
     caption = f"Residual of the tool point that no effect explains. {_DOTS}"
     if what.where:
@@ -139,29 +144,26 @@ def _unexplained(closure: Closure) -> str:
     return caption
 
 
-def _errors(closure: Closure) -> Iterator[Picture]:
-    fits = {"uncompensated": closure.nominal, "before": closure.before, "after": closure.after}
-    if closure.check is not None and closure.check.tool_point.shape[0] >= 3:
-        errors = plots.check_errors(fits, closure.check)
-        figure = plots.check_points(errors, closure.check)
+def _errors(closure: Closure, found: VolumetricErrors) -> Iterator[Picture]:
+    if found.check:
+        assert closure.check is not None
+        figure = plots.check_points(found.check, closure.check)
         caption = (
             "Residual volumetric error at the independent check points, after the best rigid "
             "alignment: nominal machine, declared model, and with the identified effects. One "
             "logarithmic colour scale; views from above (top) and from the front (bottom)."
         )
-        yield Picture("check_points", "volumetric", caption, plots.png(figure))
-    values = plots.error_field(closure.before, closure.after, closure.check, closure.alternatives)
-    if values is not None:
-        figure = plots.field(values)
+        yield Picture.of("check_points", "volumetric", caption, figure)
+    if found.field is not None:
+        figure = plots.field(found.field)
         caption = (
             "Identified volumetric error in three mid-planes of the travel, after rigid alignment "
             "(colour: length of the error vector; arrows: its component in the plane), and its "
             "standard uncertainty. Effects of direction, temperature or time are not included."
         )
-        largest = np.linalg.norm(values.change, axis=-1).max()
-        if largest > 1e-3:
-            caption += f" Bottom: change by closing the loop, at most {number(largest)} µm."
-        yield Picture("error_field", "volumetric", caption, plots.png(figure))
+        if found.changed > LEAST_CHANGE_UM:
+            caption += f" Bottom: change by closing the loop, at most {number(found.changed)} µm."
+        yield Picture.of("error_field", "volumetric", caption, figure)
     _, apart = held_apart(closure.after.model, closure.after.measurement)
     if np.any(apart):
         figure = plots.error_over_time({"before": closure.before, "after": closure.after})
@@ -171,4 +173,4 @@ def _errors(closure: Closure) -> Iterator[Picture]:
             f"Three-dimensional error of every observation in the order of time. {held[0].upper()}"
             f"{held[1:]} were held out of every fit: faint dots are fitted, full ones predicted."
         )
-        yield Picture("held_out", "volumetric", caption, plots.png(figure))
+        yield Picture.of("held_out", "volumetric", caption, figure)

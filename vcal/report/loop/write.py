@@ -23,6 +23,7 @@ from .own_effect import FILE, own_effect
 from .page import page
 from .pictures import pictures
 from .record import record
+from .volumetric import scenes, volumetric_errors
 
 
 def _folder() -> ReportFolder:
@@ -88,12 +89,13 @@ def write_report(
         texts = {name: text for name, text in written.items() if text is not None}
         files = {"report.json": "all results, for programs"} | {n: about[n] for n in texts}
         machine = of_study(study)
-        drawn = [*pictures(closure, tables), *machine_pictures(machine)]
+        errors = volumetric_errors(closure)
+        drawn = [*pictures(closure, tables, errors), *machine_pictures(machine)]
         run = {"command": command, "seconds": seconds}
         seen = could_be_seen(closure, study)
         shown = page(
             closure, study, tables, drawn, tests, positioned,
-            machine=machine, files=files, seen=seen, **run,
+            scenes=scenes(closure, errors), machine=machine, files=files, seen=seen, **run,
         )  # fmt: skip
         found = record(closure, study, tests, positioned, motions=tables, seen=seen, **run)
         return Contents(found, {"index.html": shown, **texts}, drawn)

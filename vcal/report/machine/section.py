@@ -12,7 +12,7 @@ from ...geometry.declared_machine import (
     ShownAxis,
     declared_machine,
 )
-from ...plots import axis_label, machine_views, svg
+from ...plots import axis_label, machine_views, smallest_text, svg
 from ...plots.declared_machine import SHOWN
 from ...study.study import Study
 from ..html.picture import Picture, Shown
@@ -21,6 +21,8 @@ from ..html.text import DASH, number
 
 SECTION = "declared machine"
 """Part of the page in which the pictures are shown."""
+_CSS_DPI = 96.0
+"""Pixels of a page in an inch."""
 _TITLES = {
     "xz": "XZ, seen from −Y",
     "yz": "YZ, seen from +X",
@@ -61,6 +63,7 @@ def machine_pictures(machine: DeclaredMachine) -> list[Picture]:
             svg(drawn),
             alt=f"The declared machine, {_TITLES[key]}. {words}",
             half=True,
+            text_px=smallest_text(drawn, _CSS_DPI),
         )
         for key, drawn in machine_views(machine).items()
     ]
@@ -153,7 +156,7 @@ def _legend(machine: DeclaredMachine) -> str:
         )
     if machine.arm:
         words.append(
-            "Black: links at the zero pose, which is alone in the pictorial view; thin: links at "
+            "Thick: links at the zero pose, which is alone in the pictorial view; thin: links at "
             "some measured poses, by their rows."
         )
     words.append("Grey dots: nominal places of the measured points.")

@@ -6,7 +6,6 @@ import numpy as np
 
 from ... import plots
 from ...geometry.error_motions import ErrorMotionTable
-from ...plots import png
 from ...plots.virtual import sources, volumetric_bounds, volumetric_histograms
 from ...uncertainty.virtual import Motion, VirtualCalibration
 from ..html.picture import Picture
@@ -21,7 +20,7 @@ def pictures(result: VirtualCalibration) -> Iterator[Picture]:
             "Root-mean-square volumetric error of every machine drawn, before and after "
             f"calibration. Bars below: {share} coverage intervals."
         )
-        yield Picture("volumetric", "volumetric", caption, png(volumetric_histograms(result)))
+        yield Picture.of("volumetric", "volumetric", caption, volumetric_histograms(result))
     if result.nodes and not result.faultless:
         caption = (
             f"Upper bound of the volumetric error for {share} of the machines, point by point in "
@@ -29,13 +28,13 @@ def pictures(result: VirtualCalibration) -> Iterator[Picture]:
             "calibration (bottom), each point under the conditions of a random row of the plan. "
             "One colour scale per row."
         )
-        yield Picture("field", "field", caption, png(volumetric_bounds(result)))
+        yield Picture.of("field", "field", caption, volumetric_bounds(result))
     if result.contributions:
         caption = (
             "Contribution of every source to the volumetric error after calibration, as a root "
             "mean square over points and machines (GUM). The squares add up."
         )
-        yield Picture("sources", "sources", caption, png(sources(result.contributions)))
+        yield Picture.of("sources", "sources", caption, sources(result.contributions))
     tables = [_table(motion) for motion in result.motions if motion.prior.any()]
     if tables:
         caption = (
@@ -44,7 +43,7 @@ def pictures(result: VirtualCalibration) -> Iterator[Picture]:
             "measurement (± 2 standard deviations, cut off at the frame). Where blue is as wide "
             "as grey, the plan gives no information."
         )
-        yield Picture("error_motions", "motions", caption, png(plots.error_motions(tables)))
+        yield Picture.of("error_motions", "motions", caption, plots.error_motions(tables))
 
 
 def _table(motion: Motion) -> ErrorMotionTable:
