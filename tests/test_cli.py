@@ -675,6 +675,7 @@ def test_simulate_then_loop(tmp_path, small_tracker_study):
     made, out = tmp_path / "made", tmp_path / "deep" / "report"
     run("simulate", small_tracker_study, "--out", made, "--with", "backlash:Y:size_um=60")
     options = ("--effects", "backlash,scale_growth", "--max-effects", 2, "--set", "name=mine")
+    options += ("--set", "acceptance.volumetric_um=1")
     shown = run("loop", made, "--out", out, "--draws", 100, "--seed", 5, *options)
     assert shown.stderr == ""
     assert "The declared model lacked backlash Y." in shown.output
@@ -682,12 +683,15 @@ def test_simulate_then_loop(tmp_path, small_tracker_study):
     assert f"Report: {out / 'index.html'}" in shown.output
     assert "backlash" in (out / "index.html").read_text(encoding="utf-8")
     report = json.loads((out / "report.json").read_text())
+    assert f"\n{report['acceptance']['sentence']}\nReport: " in shown.output
+    assert report["acceptance"]["before"]["verdict"] == "does_not_conform"
     assert (report["verdict"], report["name"]) == ("named", "mine")
     assert report["settings"]["draws"] == 100
     assert report["settings"]["effects"] == ["backlash", "scale_growth"]
     assert report["seconds"] > 0
     expected = f"vcal loop {made} --out {out} --seed 5 --draws 100 --max-effects 2"
-    assert report["command"] == f"{expected} --effects backlash,scale_growth --set name=mine"
+    options_set = "--set name=mine --set acceptance.volumetric_um=1"
+    assert report["command"] == f"{expected} --effects backlash,scale_growth {options_set}"
     # A report may replace an earlier one, but nothing else, and that is known before the work.
     (tmp_path / "deep" / "mine.txt").write_text("mine")
     assert "found other files (mine.txt" in refused("loop", made, "--out", tmp_path / "deep")

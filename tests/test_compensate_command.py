@@ -45,6 +45,11 @@ def contents(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
+def test_a_certificate_is_no_compensation(report, tmp_path):
+    message = refused("compensate", report, "--to", "dcc", "--out", tmp_path / "c")
+    assert "write a digital calibration certificate with vcal certificate" in message
+
+
 def test_files_are_written_and_what_stays_is_said(report, tmp_path):
     out = tmp_path / "control"
     said = run(

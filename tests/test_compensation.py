@@ -13,9 +13,11 @@ from scipy.interpolate import RegularGridInterpolator
 import vcal
 from vcal.compensation import FORMATS, Tables, verify, working_volume
 from vcal.compensation.base import left_over
+from vcal.compensation.computed_tests import geometric_tests_of
 from vcal.compensation.expected import after_alignment, drawn_errors, expected
 from vcal.compensation.stored import machine_from, machine_record
 from vcal.demo import FOLDER
+from vcal.geometry.acceptance import geometric_tests
 from vcal.geometry.compensated import compensated_points
 from vcal.geometry.error_motions import error_motion_tables
 from vcal.identification.model_averaging import Alternatives, model_average
@@ -125,6 +127,22 @@ def test_rivals_are_averaged_as_in_the_loop(fit, machine, study):
         np.testing.assert_allclose(variance, between, rtol=1e-6, atol=1e-18)
         again = machine_from(json.loads(json.dumps(machine_record(made))))
         np.testing.assert_allclose(again.whole.tool_points(plan), points, atol=1e-14)
+
+
+def test_geometric_deviations_are_those_of_the_report(fit):
+    other = replace(fit, theta=fit.theta + 0.3)
+    for rivals in ([], [Alternatives(fit, ((0.4, other),), True)]):
+        made = vcal.IdentifiedMachine.of_fit(fit, alternatives=rivals)
+        again = machine_from(json.loads(json.dumps(machine_record(made))))
+        reported = geometric_tests(fit, alternatives=rivals, size=made.block)
+        found = geometric_tests_of(again)
+        assert [(t.name, t.what, t.unit) for t in found] == [
+            (t.name, t.what, t.unit) for t in reported
+        ]
+        for one, its in zip(found, reported, strict=True):
+            assert one.value == pytest.approx(its.value, abs=1e-6)
+            assert one.u == pytest.approx(its.u, rel=1e-6, abs=1e-9)
+            assert one.information == pytest.approx(its.information, abs=1e-6)
 
 
 def test_a_correction_takes_the_tool_to_its_nominal_place(machine):

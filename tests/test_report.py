@@ -18,8 +18,9 @@ from matplotlib.text import Text
 
 from oracle import error_motions, make_case
 from report_schema import validated
-from vcal import CATALOGUE, StudyError, close_loop, identify, load_study, plots
+from vcal import CATALOGUE, StudyError, close_loop, identify, load_machine, load_study, plots
 from vcal.cli.show import show_closure
+from vcal.compensation import verify
 from vcal.effects import Setup, load_effects
 from vcal.effects.data_set import OfDataSet
 from vcal.geometry.acceptance import geometric_tests
@@ -57,6 +58,12 @@ from vcal.report.loop.tested import _by_round
 from vcal.study.simulated import parse_with
 from vcal.study.study import looked_for
 
+STATED = [
+    "acceptance.volumetric_um=25",
+    "acceptance.draws=400",
+    "machine.serial_number=A 17",
+    "measurement.operator=N. N.",
+]
 SEARCHED = ("backlash", "lateral_reversal", "screw_cyclic", "thermal_tilt", "artefact_bending")
 
 
@@ -73,7 +80,7 @@ def closed(tmp_path_factory):
         n_check=60,
         folder=folder,
     )
-    study = load_study(folder)
+    study = load_study(folder, STATED)
     assert study.measurement is not None
     closure = close_loop(
         study.model,
@@ -147,6 +154,10 @@ KEYS = {
     "error_motions": list,
     "cannot_be_seen": list,
     "smallest_sizes": list,
+    "computed_tests": dict,
+    "volumetric_error": dict,
+    "acceptance": dict,
+    "stated": dict,
     "settings": dict,
     "versions": dict,
     "seconds": float,
@@ -179,6 +190,27 @@ def test_record_has_the_keys_and_types_of_its_schema(written):
     # Half of it on either side; the mean is not in the middle.
     assert 0.5 * abs(size["value"]) < effect["at_the_tool_um"]["largest"] < abs(size["value"])
     assert effect["at_the_tool_um"]["rms"] <= 0.51 * abs(size["value"])
+
+
+def test_page_begins_with_the_decision(closed, written):
+    content = strict(written / "report.json")
+    page = (written / "index.html").read_text(encoding="utf-8")
+    lead = re.search('<p class="lead">([^<]*)</p>', page)
+    assert lead is not None and lead[1] == content["volumetric_error"]["sentence"]
+    assert lead[1].endswith(content["acceptance"]["sentence"])
+    before, after = (content["volumetric_error"][stage] for stage in ("before", "after"))
+    assert before["largest_um"] > before["rms_um"] > after["rms_um"]
+    # As `vcal verify` states it.
+    machine = load_machine(written)
+    machine = dataclasses.replace(machine, check=None, block=60)  # compiled already
+    found = verify(machine, draws=400).aligned["working volume"]
+    assert before["largest_um"] == pytest.approx(found.largest.mean, rel=1e-9)
+    assert before["rms_um"] == pytest.approx(found.rms.mean, rel=1e-9)
+    assert f"{closed[1].chain.text}, serial number A 17" in page and "by N. N." in page
+    assert content["stated"] == {
+        "machine": {"serial_number": "A 17"},
+        "measurement": {"operator": "N. N."},
+    }
 
 
 def test_record_tells_errors_before_and_after(written):

@@ -205,7 +205,7 @@ def _close(
     from ..errors import StudyError
     from ..report import check_folder, write_report
     from .loop import close_study
-    from .show import show_closure
+    from .show import decision_in, show_closure
 
     check_folder(out)  # before the work, not after it
     browser = browser_for(pdf)
@@ -230,6 +230,8 @@ def _close(
             compensate_anyway=compensate_anyway,
         )
     show_closure(closure)
+    if study.settings.acceptance is not None and (decision := decision_in(out)):
+        say(decision)
     say(f"Report: {page}")
     print_with(browser, page)
     if closure.interrupted:

@@ -14,7 +14,7 @@ from .session import guarded, say, start, working
 if TYPE_CHECKING:
     from ..compensation import Compensation, IdentifiedMachine, Verified
 
-_SOURCE = typer.Argument(
+SOURCE = typer.Argument(
     help="Report of vcal loop (its folder, report.json or machine.json), or a study file or "
     "folder, whose loop is closed first.",
     metavar="REPORT|STUDY",
@@ -41,7 +41,7 @@ At = Annotated[
 @app.command()
 @guarded
 def compensate(
-    source: Annotated[Path | None, _SOURCE] = None,
+    source: Annotated[Path | None, SOURCE] = None,
     to: Annotated[
         str | None, typer.Option("--to", metavar="FORMAT", help="The format; --list shows all.")
     ] = None,
@@ -136,6 +136,11 @@ def compensate(
     from ..compensation import compensate as built
     from ..report.compensation.write import check_compensation_folder, write_compensation
 
+    if to == "dcc":
+        raise StudyError(
+            "--to: found 'dcc', expected a format of compensation; write a digital calibration "
+            "certificate with vcal certificate"
+        )
     FORMATS.named(to)  # before the work, not after it
     options = options_of(option or [], at or [])
     reads = [source if source.is_dir() else source.parent]
@@ -163,7 +168,7 @@ def _check_gain(machine: "IdentifiedMachine", source: Path, anyway: bool) -> Non
 @app.command()
 @guarded
 def verify(
-    source: Annotated[Path, _SOURCE],
+    source: Annotated[Path, SOURCE],
     to: Annotated[
         list[str] | None,
         typer.Option(

@@ -1,9 +1,11 @@
 """What commands print: a compact summary on stdout; the details are in the written files."""
 
 import inspect
+import json
 import math
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -47,6 +49,12 @@ _FEW_RIVALS, _LEAST_PROBABILITY = 3, 0.05
 """Largest number of rivals that are printed, and the least probability of one."""
 _LITTLE = 0.3
 """Share of a travel below which the coverage of an axis is reported."""
+
+
+def decision_in(report: Path) -> str:
+    """The decision on the tolerance in the record of a report; empty without one."""
+    record = json.loads((report / "report.json").read_text(encoding="utf-8"))
+    return record.get("acceptance", {}).get("sentence", "")
 
 
 def show_closure(closure: Closure) -> None:

@@ -29,7 +29,8 @@ from ..units import si_factor
 from .parts import GEOMETRY, Kind, Part, in_order, part_names, part_of
 
 _BLOCK = 256
-"""Rows that are evaluated together: one program is compiled for a chain, whatever the points."""
+"""Default number of rows that are evaluated together: one program is compiled for a chain, whatever
+the points."""
 _MANY = 2048
 """Rows above which a function without derivatives is compiled, for as many rows at a time."""
 _NODES = 41
@@ -121,6 +122,12 @@ class IdentifiedMachine:
     """When the report was made."""
     no_gain: str = ""
     """A sentence where compensation does not reduce the error; else empty."""
+    about: Mapping[str, Mapping[str, Any]] = field(default_factory=dict, repr=False)
+    """What the study states of the machine, its tolerance, the measurement and the certificate:
+    keys by table of the study file (``machine``, ``acceptance``, ``measurement``, ``certificate``).
+    """
+    block: int = field(default=_BLOCK, repr=False, compare=False)
+    """Rows that are evaluated together; a number that is compiled already costs nothing."""
     only: frozenset[str] | None = None
     """Names of the parts that make up the displacement; None: all that are identified."""
 
@@ -135,19 +142,27 @@ class IdentifiedMachine:
         name: str = "",
         date: str = "",
         no_gain: str = "",
+        about: Mapping[str, Mapping[str, Any]] | None = None,
+        block: int = _BLOCK,
     ) -> "IdentifiedMachine":
         """The machine of a fit: effects of the instrument are marginalised.
 
         `alternatives` are the models that compete with its effects.
         """
+
+        def bare_of(one: Fit) -> "IdentifiedMachine":
+            return replace(_bare(one), block=block)
+
         rivals = tuple(
             Rival(
-                _bare(one.found), tuple((p, _bare(other)) for p, other in one.others), one.averaged
+                bare_of(one.found),
+                tuple((p, bare_of(other)) for p, other in one.others),
+                one.averaged,
             )
             for one in alternatives
             if one.others
         )
-        bare = _bare(fit)
+        bare = bare_of(fit)
         places = _places(fit)
         own = np.ix_(places, places)
         precision = np.asarray(fit.within_scans, float)[places]
@@ -167,6 +182,7 @@ class IdentifiedMachine:
             name=name,
             date=date,
             no_gain=no_gain,
+            about=about or {},
         )
 
     # --- conditions -------------------------------------------------------------------------------
@@ -224,7 +240,7 @@ class IdentifiedMachine:
     @cached_property
     def parts(self) -> tuple[Part, ...]:
         """Everything that the model of the machine contains, with its share of information."""
-        lines = self._lines(_NODES)
+        lines = self.lines(_NODES)
         blocks: dict[str, np.ndarray] = {}
         about: dict[str, tuple[Kind, str, tuple[str, ...]]] = {}
         declared = set()
@@ -245,11 +261,11 @@ class IdentifiedMachine:
                 about[own] = ("effect", effect.amplitudes[0].unit, tuple(needs))
         found = []
         for name in in_order(about, self.axes):
-            share = self._information(blocks[name]).max() if name in blocks else 0.0
+            share = self.information(blocks[name]).max() if name in blocks else 0.0
             found.append(Part(name, *about[name], float(share), name in declared))
         return tuple(found)
 
-    def _lines(self, nodes: int) -> Float[np.ndarray, "nodes axes"]:
+    def lines(self, nodes: int) -> Float[np.ndarray, "nodes axes"]:
         """Positions of every axis over its travel."""
         return np.linspace(self.volume[:, 0], self.volume[:, 1], nodes)
 
@@ -281,7 +297,7 @@ class IdentifiedMachine:
         """Names of the parts of which the readings know nothing."""
         return tuple(p.name for p in self.parts if not p.identified)
 
-    def _information(self, block: np.ndarray) -> np.ndarray:
+    def information(self, block: np.ndarray) -> np.ndarray:
         """Share of information of F theta for the rows of F (q, k); one for a flat prior, and for a
         known value that is not zero.
         """
@@ -439,8 +455,8 @@ class IdentifiedMachine:
         """Tool points and their derivatives by the ports, in blocks of one size."""
         position = np.asarray(plan.position)
         points, slopes = [], []
-        for first in range(0, plan.rows, _BLOCK):
-            rows = np.minimum(np.arange(first, first + _BLOCK), plan.rows - 1)
+        for first in range(0, plan.rows, self.block):
+            rows = np.minimum(np.arange(first, first + self.block), plan.rows - 1)
             found, by_port = tool_points_with_jacobian(self.chain, position[rows], ports[rows])
             points.append(np.asarray(found))
             slopes.append(np.asarray(by_port))
@@ -529,7 +545,20 @@ class IdentifiedMachine:
         """Error motions and location errors on `nodes` positions over the travels, as in a report;
         those that are not identified are zero, with the uncertainty of their prior.
         """
-        lines = self._lines(nodes)
+        lines = self.lines(nodes)
+        functions = self.error_functions(lines)
+        named = {p.name: p for p in self.parts}
+        return [
+            self._table(named[name], *functions[name], lines)
+            for name in in_order(functions, self.axes)
+        ]
+
+    def error_functions(
+        self, lines: Float[np.ndarray, "nodes axes"]
+    ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """F (nodes, k) of every error motion E = mean + F theta on these positions of every axis,
+        or (1, k) of a location error, and the mean, SI; also of those that are not identified.
+        """
         blocks: dict[str, np.ndarray] = {}
         means: dict[str, np.ndarray] = {}
         for one in self._columns(self.plan(lines), everything=True):
@@ -542,11 +571,7 @@ class IdentifiedMachine:
             mean = means.setdefault(one.part, np.zeros(len(column)))
             if not located or not mean.any():
                 means[one.part] = mean + column * p.mean * p.si
-        named = {p.name: p for p in self.parts}
-        return [
-            self._table(named[name], blocks[name], means[name], lines)
-            for name in in_order(blocks, self.axes)
-        ]
+        return {name: (block, means[name]) for name, block in blocks.items()}
 
     def _table(
         self, part: Part, block: np.ndarray, mean: np.ndarray, lines: np.ndarray
@@ -568,7 +593,7 @@ class IdentifiedMachine:
             value=value / si if part.name in self.shown else np.zeros_like(value),
             u=np.sqrt(np.maximum(variance, 0.0)) / si,
             prior=np.sqrt(prior) / si,
-            information=self._information(block),
+            information=self.information(block),
         )
 
 

@@ -83,6 +83,7 @@ def machine_record(machine: IdentifiedMachine) -> dict[str, Any]:
             for name, one in machine.ranges.items()
         },
         "no_gain": machine.no_gain,
+        "about": {name: dict(table) for name, table in machine.about.items()},
         "parameters": [
             {
                 "effect": name,
@@ -140,6 +141,7 @@ def _machine_from(record: Mapping[str, Any]) -> IdentifiedMachine:
         name=record["name"],
         date=record["date"],
         no_gain=record["no_gain"],
+        about=record.get("about", {}),  # not in records of older versions
     )
     units = np.array([step / p.si for _, p, step in entries(bare)])
     covariance = _square(record["covariance"], units)

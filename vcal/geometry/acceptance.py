@@ -1,13 +1,14 @@
 """Deviations as acceptance tests define them: straight motions of the tool point, squareness."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..identification.fit import Fit
 from ..identification.model_averaging import Alternatives, model_average
+from ..machine.chain import Chain
 from .compensated import compensated_in_blocks
 from .error_motions import NODES, Spread, functions_on, line_of
 from .straight_lines import StraightLines
@@ -80,21 +81,42 @@ def geometric_tests(
     def sampled(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
         return _sampled(fit, lines, nodes, motions, size)
 
-    values, jacobian = sampled(fit)
+    def average(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return model_average(
+            alternatives, lambda other: weights @ sampled(other)[0], np.zeros(len(weights))
+        )
+
+    return tests_of(lines, chain, motions, *sampled(fit), Spread.of_fit(fit), average)
+
+
+def tests_of(
+    lines: StraightLines,
+    chain: Chain,
+    motions: Mapping[str, int],
+    values: np.ndarray,
+    jacobian: np.ndarray,
+    spread: Spread,
+    average: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+) -> list[GeometricTest]:
+    """The deviations of `geometric_tests` from sampled errors: `values` (size,), m or rad, those of
+    the tool point on the `lines`, then the error `motions` with their number of nodes, and their
+    derivative (size, k).
+
+    `average` gives the change by averaging over models, and the between-model variance, of
+    functionals with these weights (q, size).
+    """
     turning = [joint.name for joint in chain.joints if joint.turns]
     deviations = _deviations(lines, turning, motions, values)
     if not deviations:
         return []
     weights = 1e6 * np.array([one.weights for one in deviations])
-    u, _, information = Spread.of_fit(fit).of(weights @ jacobian)
+    u, _, information = spread.of(weights @ jacobian)
     found = weights @ values
     # A deviation that does not depend on the model is unknown, not zero.
     modelled = (u > 0.0) | (np.abs(found) > 1e6 * _SAME)
     if not modelled.any():
         return []
-    moved, between = model_average(
-        alternatives, lambda other: weights @ sampled(other)[0], np.zeros(len(deviations))
-    )
+    moved, between = average(weights)
     return [
         GeometricTest(
             name=one.name,

@@ -10,6 +10,7 @@ from ..errors import StudyError
 from ..loop.outcome.closure import Closure
 from ..numerics.stored import NotStoredError
 from .messages import refusal, shown
+from .statements import stated
 from .study import Study
 
 FILE = "machine.json"
@@ -17,10 +18,17 @@ FILE = "machine.json"
 _REPORT = "report.json"
 
 
+_BLOCK = 256
+_FEWEST = 32
+"""Check points of which a block of rows may consist."""
+_OF_MACHINE = ("manufacturer", "type", "serial_number")
+
+
 def identified_machine(closure: Closure, study: Study, date: str = "") -> IdentifiedMachine:
-    """The machine of a closure: its final fit, the models that compete with the effects found, and
-    the check points.
+    """The machine of a closure: its final fit, the models that compete with the effects found, the
+    check points, and what the study states of it (`stated_of`).
     """
+    rows = 0 if closure.check is None else closure.check.plan.rows
     return IdentifiedMachine.of_fit(
         closure.after,
         alternatives=closure.alternatives,
@@ -28,6 +36,21 @@ def identified_machine(closure: Closure, study: Study, date: str = "") -> Identi
         name=study.name,
         date=date,
         no_gain=closure.no_gain,
+        about=stated_of(study),
+        block=rows if rows >= _FEWEST else _BLOCK,  # check points are compiled already
+    )
+
+
+def stated_of(study: Study) -> dict[str, dict[str, Any]]:
+    """What a study states of its machine, instruments, tolerance, measurement and certificate, by
+    table.
+    """
+    given = study.settings
+    machine = {key: getattr(given.machine, key) for key in _OF_MACHINE}
+    machine = {key: value for key, value in machine.items() if value is not None}
+    kinds = {one.name or one.settings.kind: one.settings.kind for one in study.sets}
+    return {"instruments": kinds, **({"machine": machine} if machine else {})} | stated(
+        acceptance=given.acceptance, measurement=given.measurement, certificate=given.certificate
     )
 
 

@@ -21,6 +21,7 @@ from .plugins.instruments import own_instruments
 from .plugins.trial import own_code_error
 from .reading.assign import Place
 from .reading.formats import TableFormat, plain_format
+from .statements import AcceptanceSettings, CertificateSettings, MeasurementSettings
 from .toml_file import LARGEST_WHOLE
 
 Triple = tuple[float, float, float]
@@ -150,6 +151,12 @@ class MachineSettings(Table):
     such as [0.5, 0, 0.87] for a base on a slope."""
     base: str | None = None
     """A remark on the place of the arm's base, whose pose is always identified."""
+    manufacturer: str | None = Field(default=None, min_length=1)
+    """Manufacturer of the machine; shown in the report and in a certificate, as the next two."""
+    type: str | None = Field(default=None, min_length=1)
+    """Its type designation."""
+    serial_number: str | None = Field(default=None, min_length=1)
+    """Its serial number."""
 
     @model_validator(mode="after")
     def _one_machine(self) -> Self:
@@ -445,6 +452,9 @@ class StudySettings(Table):
     """How further tables are read (check points, artefact, family), by the name of the file."""
     holdout: HoldoutSettings | None = None
     loop: LoopSettings = LoopSettings()
+    acceptance: AcceptanceSettings | None = None
+    measurement: MeasurementSettings = MeasurementSettings()
+    certificate: CertificateSettings = CertificateSettings()
     design: DesignSettings = DesignSettings()
 
 
@@ -462,6 +472,9 @@ class SeveralSettings(Table):
     model: ModelSettings = ModelSettings()
     holdout: HoldoutSettings | None = None
     loop: LoopSettings = LoopSettings()
+    acceptance: AcceptanceSettings | None = None
+    measurement: MeasurementSettings = MeasurementSettings()
+    certificate: CertificateSettings = CertificateSettings()
 
 
 AnySettings = StudySettings | SeveralSettings

@@ -126,6 +126,7 @@ def sheet(
     sections: Sequence[Section],
     *,
     kicker: str = "vcal",
+    lead: str = "",
     badge: Badge | None = None,
     facts: Sequence[tuple[str, str]] = (),
     warnings: Sequence[str] = (),
@@ -133,14 +134,16 @@ def sheet(
 ) -> str:
     """A page as one self-contained HTML text, pictures included; all texts are plain, not HTML.
 
-    `summary` is the sentence at the top, after the `badge`; `kicker` the line above the title;
-    `facts` are terms with their descriptions; framed `warnings` stand before the `tiles`.
+    `summary` is the sentence at the top, after the `badge`, `lead` a paragraph below it; `kicker`
+    is the line above the title; `facts` are terms with their descriptions; framed `warnings` stand
+    before the `tiles`.
     """
     return _render(
         "sheet.html.j2",
         title=title,
         summary=summary,
         kicker=kicker,
+        lead=lead,
         badge=badge,
         facts=facts,
         warnings=warnings,

@@ -3,20 +3,24 @@
 import math
 from collections.abc import Mapping, Sequence
 
+from ...compensation.computed_tests import LineTest
 from ...geometry.acceptance import GeometricTest
 from ...geometry.declared_machine import DeclaredMachine
 from ...geometry.error_motions import ErrorMotionTable
 from ...geometry.positioning_lines import PositioningTest
 from ...loop.detectable import Detectable
 from ...loop.outcome.closure import Closure
+from ...study.identified_machine import stated_of
 from ...study.study import Study
 from ..html import text
 from ..html.picture import Picture, by_section
 from ..html.provenance import plain, provenance_section
 from ..html.scene import Scene
-from ..html.sheet import Badge, Section, Tile, sheet
+from ..html.sheet import Badge, Tile, sheet
 from ..machine.section import machine_sections
+from .computed import computed_section
 from .could_be_seen import could_be_seen_section
+from .decision import Decided, acceptance_section, volumetric_section, volumetric_tiles
 from .findings import data_sets, declared_effects, errors, identified, unexplained
 from .geometry import conventions, geometry, noise
 from .positioning import positioning_section
@@ -43,11 +47,13 @@ def page(
     drawn: Sequence[Picture],
     tests: Sequence[GeometricTest] = (),
     positioned: Sequence[PositioningTest] = (),
+    lines: Sequence[LineTest] = (),
     *,
     scenes: Sequence[Scene] = (),
     machine: DeclaredMachine | None = None,
     files: Mapping[str, str] | None = None,
     seen: Detectable | None = None,
+    volumetric: Decided | None = None,
     command: str = "",
     seconds: float = math.nan,
 ) -> str:
@@ -55,11 +61,10 @@ def page(
 
     `scenes` show the volumetric error in space; `machine` is the declared machine, whose pictures
     are among `drawn`; `files` describe the files beside it by their names; `seen` is what the
-    measurement could have shown; `seconds` is the run time of the loop.
+    measurement could have shown; `volumetric` the volumetric error with the decision on its
+    tolerance; `seconds` is the run time of the loop.
     """
     shown = by_section(drawn)
-    pictures, turned = shown.get("volumetric", ()), tuple(scenes)
-    volumetric = [Section("Volumetric error", pictures=pictures, scenes=turned)] * bool(pictures)
     settings = {k: v for k, v in plain(closure.settings).items() if k != "effects"}
     quoted = {
         "settings": ", ".join(f"{key} = {value}" for key, value in settings.items()),
@@ -69,6 +74,7 @@ def page(
         study.name,
         closure.sentence,
         [
+            *acceptance_section(volumetric),
             *what_to_do(closure, reaches(closure)),
             errors(closure),
             *data_sets(closure, study),
@@ -76,26 +82,28 @@ def page(
             *recorded_responses(closure),
             *declared_effects(closure),
             *unexplained(closure, shown),
-            *volumetric,
+            *volumetric_section(volumetric, shown.get("volumetric", ()), tuple(scenes)),
             *tested(closure, study, shown),
             *not_tested(closure, study, seen),
             *could_be_seen_section(seen),
             *geometry(closure, study, tables, tests, shown),
             *standards(closure, study),
             *positioning_section(positioned),
+            *computed_section(lines),
             noise(closure, shown),
             *machine_sections(machine, shown),
             conventions(study),
             provenance_section(study, quoted, files or {}, command, seconds),
         ],
         kicker="vcal – closing the loop with measured data",
+        lead="" if volumetric is None else volumetric.sentence,
         badge=_badge(closure),
         facts=_facts(closure, study),
         warnings=[
             *([_INTERRUPTED] if closure.interrupted else []),
             *map(text.sentence_of, closure.notes),
         ],
-        tiles=_tiles(closure),
+        tiles=[*volumetric_tiles(volumetric), *_tiles(closure)],
     )
 
 
@@ -135,10 +143,25 @@ def _facts(closure: Closure, study: Study) -> list[tuple[str, str]]:
     used = int(after.used.sum())
     held = f", {plan.rows - used} of them held out or left out" if used < plan.rows else ""
     check = len(closure.check.tool_point) if closure.check is not None else 0
+    stated = stated_of(study)
     return [
-        ("Machine", study.chain.text),
+        ("Machine", ", ".join([study.chain.text, *_named(stated.get("machine", {}))])),
+        *([("Measured", ", ".join(measured))] if (measured := _measured(stated)) else []),
         study.observers,
         ("Measurement", study.observations + held),
         ("Check points", str(check) if check else "none"),
         ("Parameters", f"{len(closure.before.theta)} declared, {len(after.theta)} in the end"),
     ]
+
+
+def _named(machine: Mapping[str, str]) -> list[str]:
+    """Manufacturer, type and serial number, those that are stated."""
+    made = " ".join(machine[key] for key in ("manufacturer", "type") if key in machine)
+    number = machine.get("serial_number")
+    return [*([made] if made else []), *([f"serial number {number}"] if number else [])]
+
+
+def _measured(stated: Mapping[str, Mapping[str, str]]) -> list[str]:
+    given = stated.get("measurement", {})
+    who = given.get("operator")
+    return [*([given["date"]] if "date" in given else []), *([f"by {who}"] if who else [])]

@@ -68,11 +68,12 @@ def _rows(test: PositioningTest) -> list[tuple[str, ...]]:
             continue
         cells = _cells(test.stated.values[name], test.stated.U(name))
         value, u = test.estimated.get(name, (np.nan, np.nan))
-        rows.append((_symbol(name), _WORDS[name], *cells, *_cells(value, COVERAGE * u)))
+        rows.append((symbol(name), _WORDS[name], *cells, *_cells(value, COVERAGE * u)))
     return rows
 
 
-def _symbol(name: str) -> str:
+def symbol(name: str) -> str:
+    """A quantity of ISO 230-2 as it is printed: ``"A↑"``."""
     return {"B_mean": "B̄"}.get(name, name.replace("+", "↑").replace("-", "↓"))
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ...compensation.computed_tests import LineTest
 from ...effects.previous import posterior_of
 from ...geometry.acceptance import GeometricTest
 from ...geometry.error_motions import ErrorMotionTable
@@ -21,9 +22,12 @@ from ...loop.screening.candidates import Untestable
 from ...loop.weighing.cross_validation import Rms
 from ...machine.plan import Plan
 from ...plots import column_of
+from ...study.identified_machine import stated_of
 from ...study.study import DataSet, Study
 from ..html.provenance import plain, provenance_record
+from .computed import computed_record
 from .could_be_seen import could_be_seen_record
+from .decision import Decided, volumetric_record
 from .derived import (
     Listed,
     declared,
@@ -45,19 +49,23 @@ def record(
     study: Study,
     tests: Sequence[GeometricTest] = (),
     positioned: Sequence[PositioningTest] = (),
+    lines: Sequence[LineTest] = (),
     *,
     motions: Sequence[ErrorMotionTable] = (),
     seen: Detectable | None = None,
+    volumetric: Decided | None = None,
     command: str = "",
     seconds: float = math.nan,
 ) -> dict[str, Any]:
     """All results of a closure as plain values; see `SCHEMA`.
 
     `tests` of the geometry are the content of `geometry`, `motions` that of `error_motions`,
-    `positioned` that of `positioning`, which
-    only studies with such tests have. A study with several data sets also has `data_sets`, the
-    share of each; one with a double ball bar also has `circular_tests`. `seen` is the content of
-    `smallest_sizes`, which an interrupted search does not have.
+    `positioned` that of `positioning`, which only studies with such tests have, `lines` that of
+    `computed_tests`, which an arm does not have. A study with several data sets also has
+    `data_sets`, the share of each; one with a double ball bar also has `circular_tests`. `seen` is
+    the content of `smallest_sizes`, which an interrupted search does not have; `volumetric` that of
+    `volumetric_error` and, where a tolerance is set, of `acceptance`. `stated` repeats what the
+    study states of machine and measurement.
 
     An effect whose `placement` is a class of several, ``"X|Y"``, has the parameters of its
     `fitted_placement`. `unexplained` has a `size_um` and a `share_of_variance`, which `size_is` and
@@ -140,7 +148,10 @@ def record(
     found |= {"data_sets": several} if several else {}
     found |= {"recorded_responses": recorded} if recorded else {}
     found |= standards_record(closure, study)
-    found |= could_be_seen_record(seen)
+    found |= computed_record(lines)
+    found |= could_be_seen_record(seen) | volumetric_record(volumetric)
+    about = {k: v for k, v in stated_of(study).items() if k in ("machine", "measurement")}
+    found |= {"stated": about} if about else {}
     found |= {"positioning": [positioning_record(one) for one in positioned]} if positioned else {}
     return plain(found)
 

@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterable
 from pathlib import Path
 
+from ...compensation.computed_tests import line_tests
+from ...compensation.machine import IdentifiedMachine
 from ...compensation.stored import machine_record
 from ...geometry.acceptance import geometric_tests
 from ...geometry.error_motions import error_motion_tables
@@ -19,6 +21,7 @@ from ..formats import FORMATS, Results
 from ..html.folder import Contents, ReportFolder
 from ..machine.section import machine_pictures, of_study
 from .could_be_seen import could_be_seen
+from .decision import decided
 from .own_effect import FILE, own_effect
 from .page import page
 from .pictures import pictures
@@ -76,15 +79,16 @@ def write_report(
     def make(work: Path) -> Contents:
         fit, others = closure.after, closure.alternatives
         tables = error_motion_tables(fit, alternatives=others)
-        size = 0 if closure.check is None else closure.check.plan.rows
-        tests = geometric_tests(fit, alternatives=others, size=size)
+        found = identified_machine(closure, study, datetime.date.today().isoformat())
+        tests = geometric_tests(fit, alternatives=others, size=found.block)
+        lines = line_tests(found)
         positioned = positioning_tests(fit)
         results = Results(closure, study, tables, tests, compensate_anyway)
         written = {name: kind().text(results) for name, kind in FORMATS.items()}
         about = {name: kind.summary for name, kind in FORMATS.items()}
         written[FILE] = own_effect(closure)
         about[FILE] = "an effect of your own to start from"
-        written[MACHINE] = machine_text(closure, study)
+        written[MACHINE] = machine_text(found)
         about[MACHINE] = "the identified machine, for vcal compensate and vcal verify"
         texts = {name: text for name, text in written.items() if text is not None}
         files = {"report.json": "all results, for programs"} | {n: about[n] for n in texts}
@@ -92,19 +96,21 @@ def write_report(
         errors = volumetric_errors(closure)
         drawn = [*pictures(closure, tables, errors), *machine_pictures(machine)]
         run = {"command": command, "seconds": seconds}
-        seen = could_be_seen(closure, study)
+        seen, volumetric = could_be_seen(closure, study), decided(found)
         shown = page(
-            closure, study, tables, drawn, tests, positioned,
-            scenes=scenes(closure, errors), machine=machine, files=files, seen=seen, **run,
+            closure, study, tables, drawn, tests, positioned, lines,
+            scenes=scenes(closure, errors), machine=machine, files=files, seen=seen,
+            volumetric=volumetric, **run,
         )  # fmt: skip
-        found = record(closure, study, tests, positioned, motions=tables, seen=seen, **run)
-        return Contents(found, {"index.html": shown, **texts}, drawn)
+        content = record(
+            closure, study, tests, positioned, lines,
+            motions=tables, seen=seen, volumetric=volumetric, **run,
+        )  # fmt: skip
+        return Contents(content, {"index.html": shown, **texts}, drawn)
 
     return _folder().publish(out, make)
 
 
-def machine_text(closure: Closure, study: Study) -> str:
+def machine_text(machine: IdentifiedMachine) -> str:
     """The identified machine as strict JSON, from which it is made again without its data."""
-    today = datetime.date.today().isoformat()
-    found = machine_record(identified_machine(closure, study, today))
-    return json.dumps(found, allow_nan=False, ensure_ascii=False) + "\n"
+    return json.dumps(machine_record(machine), allow_nan=False, ensure_ascii=False) + "\n"

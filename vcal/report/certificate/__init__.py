@@ -1,0 +1,1 @@
+"""The digital calibration certificate of an identified machine."""
