@@ -7,7 +7,7 @@ and `cli` stand on it.
 """
 
 from .change_points import Sample, Size, Tested, against_constant, effective_number
-from .changes import Appearance, Change, Outcome, Since, outcomes
+from .changes import Appearance, Change, Outcome, Segment, Since, outcomes
 from .dates import read_dates
 from .machine_history import ALPHA, History, read_history
 from .reports import Report, read_reports
@@ -23,6 +23,7 @@ __all__ = [
     "Part",
     "Report",
     "Sample",
+    "Segment",
     "Series",
     "Since",
     "Size",

@@ -55,6 +55,11 @@ class Sample:
         rows = slice(first, last)
         return Sample(self.times[rows], self.values[rows], self.covariances[rows])
 
+    def less(self, slope: Float[np.ndarray, " d"]) -> "Sample":
+        """Without a slope per day that is zero at the first result."""
+        drift = np.outer(self.times - self.times[0], slope)
+        return Sample(self.times, self.values - drift, self.covariances)
+
     @property
     def mean(self) -> "Size":
         """The weighted mean with its covariance."""

@@ -5,9 +5,11 @@ appear.
 import datetime
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
+from jaxtyping import Float
 
 from .change_points import Sample, Size, Tested, against_constant, remaining
 from .series import Series
@@ -62,6 +64,17 @@ class Appearance:
 
 
 @dataclass(frozen=True)
+class Segment:
+    """Consecutive reports over which a series is constant, or drifts: its fitted values."""
+
+    first: int
+    last: int
+    """Numbers of the reports, from 0."""
+    start: Float[np.ndarray, " d"]
+    end: Float[np.ndarray, " d"]
+
+
+@dataclass(frozen=True)
 class Outcome:
     """All that was tested in one series."""
 
@@ -71,6 +84,8 @@ class Outcome:
     p_value: float
     """Of a constant, corrected for all series and places; 1 where it was not tested."""
     changes: tuple[Change, ...]
+    segments: tuple[Segment, ...]
+    """What is fitted with these changes."""
     remaining_p_value: float
     """Of the scatter that the changes leave: small where the reports scatter by more than their
     uncertainties."""
@@ -96,21 +111,31 @@ def outcomes(
     recent = _holm({i: size.p_value for i, (size, *_) in enumerate(since) if size is not None})
     found = []
     for i, (one, sample, test) in enumerate(zip(series, samples, tests, strict=True)):
-        when = [dates[k] for k in one.tested]
         p = corrected.get(i, 1.0)
         changes: list[Change] = []
-        rest = remaining(sample, [])
+        places: dict[int, tuple[list[int], float]] = {}
+        drifts = False
+        when = [dates[k] for k in one.tested]
         if test is not None and p <= alpha:
-            if test.best.kind == "drift":
+            drifts = test.best.kind == "drift"
+            if drifts:
                 changes = [_drift(sample, test, when, p)]
-                rest = remaining(sample, [], drift=True)
             else:
                 places = _places(sample, test, p, len(corrected), alpha, seed)
                 changes = _steps(sample, places, when)
-                rest = remaining(sample, list(places))
         size, first, last = since[i]
-        recently = None if size is None else Since(first, last, size, size.p_value, recent[i])
-        found.append(Outcome(one, test, p, tuple(changes), rest, recently, (*_appear(one, dates),)))
+        found.append(
+            Outcome(
+                series=one,
+                tested=test,
+                p_value=p,
+                changes=tuple(changes),
+                segments=_segments(one, sample, list(places), changes[0] if drifts else None),
+                remaining_p_value=remaining(sample, list(places), drifts),
+                since=None if size is None else Since(first, last, size, size.p_value, recent[i]),
+                appearances=tuple(_appear(one, dates)),
+            )
+        )
     return found
 
 
@@ -145,7 +170,7 @@ def _steps(
 ) -> list[Change]:
     """The differences between the means of neighbouring segments."""
     ends = [0, *places, sample.size]
-    means = [sample.part(a, b).mean for a, b in zip(ends, ends[1:], strict=False)]
+    means = [sample.part(a, b).mean for a, b in pairwise(ends)]
     return [
         Change("step", after.minus(before), dates[min(alike) - 1], dates[max(alike)], p)
         for before, after, (alike, p) in zip(means, means[1:], places.values(), strict=False)
@@ -157,6 +182,23 @@ def _drift(sample: Sample, test: Tested, dates: Sequence[datetime.date], p: floa
     per_day = test.best.size
     size = Size(per_day.value * span, per_day.covariance * span**2)
     return Change("drift", size, dates[0], dates[-1], p)
+
+
+def _segments(
+    series: Series, sample: Sample, places: Sequence[int], drift: Change | None
+) -> tuple[Segment, ...]:
+    mine = series.tested
+    if drift is not None:
+        span = sample.times[-1] - sample.times[0]
+        slope = drift.size.value / span
+        start = sample.less(slope).mean.value
+        return (Segment(mine[0], mine[-1], start, start + slope * span),)
+    ends = [0, *places, sample.size]
+    means = [sample.part(a, b).mean.value for a, b in pairwise(ends)]
+    return tuple(
+        Segment(mine[a], mine[b - 1], mean, mean)
+        for (a, b), mean in zip(pairwise(ends), means, strict=True)
+    )
 
 
 def _since(
@@ -177,15 +219,15 @@ def _appear(series: Series, dates: Sequence[datetime.date]) -> list[Appearance]:
     """Neighbouring reports of which one names the effect and the other would have."""
     seen = [i for i, e in enumerate(series.entries) if e.state in ("named", "not named")]
     found = []
-    for a, b in zip(seen, seen[1:], strict=False):
+    for a, b in pairwise(seen):
         first, second = series.entries[a], series.entries[b]
         if first.state == second.state:
             continue
         appeared = second.state == "named"
         named, absent = (second, first) if appeared else (first, second)
-        assert named.values is not None
+        assert named.size is not None
         for part, value, u, smallest in zip(
-            series.parts, named.values, named.u, absent.smallest, strict=True
+            series.parts, named.size.value, named.size.u, absent.smallest, strict=True
         ):
             if smallest is not None and abs(value) - _COVERAGE * u > smallest:
                 what = "appeared" if appeared else "disappeared"

@@ -2,7 +2,7 @@
 
 import csv
 import datetime
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +22,8 @@ def read_dates(path: Path | str) -> dict[str, datetime.date]:
     lines = [(n, row) for n, row in enumerate(csv.reader(text.splitlines()), 1) if any(row)]
     header = tuple(cell.strip() for cell in lines[0][1]) if lines else ()
     if header != HEADER:
-        found = ",".join(header) or "nothing"
-        raise refusal(path.name, "header", found, ",".join(HEADER), "correct the first line")
+        what = ",".join(header) or "nothing"
+        raise refusal(path.name, "header", what, ",".join(HEADER), "correct the first line")
     found: dict[str, datetime.date] = {}
     for number, row in lines[1:]:
         where = f"line {number}"
@@ -74,8 +74,9 @@ def dated(
             "date of the measurement",
             "none",
             "one for every report",
-            f"list them in a table with the header {','.join(HEADER)} (--dates FILE), or take the "
-            "day on which each report was written (--date-written)",
+            "state it as date in [measurement] of the study before vcal loop, list it in a table "
+            f"with the header {','.join(HEADER)} (--dates FILE), or take the day on which each "
+            "report was written (--date-written)",
         )
     return found
 
@@ -85,6 +86,3 @@ def _date(text: str, file: str, where: str) -> datetime.date:
         return datetime.date.fromisoformat(text)
     except ValueError as error:
         raise refusal(file, where, repr(text), _EXPECTED, "correct it") from error
-
-
-__all__: Sequence[str] = ["HEADER", "dated", "read_dates"]

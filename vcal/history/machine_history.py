@@ -2,24 +2,20 @@
 
 import datetime
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ..compensation.expected import verify
-from ..compensation.machine import IdentifiedMachine
-from ..errors import StudyError
 from ..words import counted
 from .changes import Outcome, outcomes
-from .reports import Report, read_reports
+from .reports import Report, check_points, read_reports
 from .series import Entry, all_series, scalar
 
 ALPHA = 0.05
 """Default probability that any change is found where nothing has changed."""
-_PLACE = "working volume"
 _MOVED = 1e-6
-"""Largest distance of check points that are the same, m."""
+"""Largest difference of two positions of a check point that is the same, m or rad."""
 
 
 @dataclass(frozen=True)
@@ -95,33 +91,26 @@ def read_history(
 
 
 def _volumetric(reports: Sequence[Report]) -> tuple[dict[str, list[Entry]], list[str]]:
-    """The volumetric error of every machine before compensation, rms and largest, over the volume
-    that all of them have in common, after the best rigid alignment; and why some have none.
+    """The volumetric error of every machine before compensation, as its report states it: rms and
+    largest; none, and a note, where the working volumes are not the same.
     """
-    machines: list[IdentifiedMachine | None] = []
-    notes = []
-    for report in reports:
-        try:
-            machines.append(report.machine if len(report.record["parameters"]) else None)
-        except StudyError as error:
-            machines.append(None)
-            notes.append(f"No volumetric error of {report.folder}: {error}.")
-    volumes = np.array([one.volume for one in machines if one is not None])
-    if not len(volumes):
-        return {}, notes
-    common = np.stack([volumes[..., 0].max(0), volumes[..., 1].min(0)], 1)
-    if (common[:, 0] > common[:, 1]).any():
-        return {}, [*notes, "No volumetric error: the working volumes have nothing in common."]
-    found: dict[str, list[Entry]] = {"rms": [], "largest": []}
-    for machine in machines:
-        expected = None
-        if machine is not None:
-            own = replace(machine, volume=common, check=None)
-            expected = verify(own).aligned[_PLACE]
-        for name, entries in found.items():
-            drawn = None if expected is None else getattr(expected, name)
-            entries.append(Entry("not stated") if drawn is None else scalar(drawn.mean, drawn.u))
-    return found, notes
+    volumes = [
+        [(one["axis"], round(one["low"], 6), round(one["high"], 6)) for one in volume]
+        for volume in (report.record["working_volume"] for report in reports)
+    ]
+    if any(volume != volumes[0] for volume in volumes):
+        return {}, [
+            "The reports state the volumetric error in different working volumes, so that it is no "
+            "series."
+        ]
+    stated = [report.content.get("volumetric_error", {}).get("before", {}) for report in reports]
+    return {
+        name: [
+            scalar(one.get(f"{name}_um"), one.get(f"{name}_standard_uncertainty_um"))
+            for one in stated
+        ]
+        for name in ("rms", "largest")
+    }, []
 
 
 def _notes(reports: Sequence[Report]) -> list[str]:
@@ -148,14 +137,9 @@ def _notes(reports: Sequence[Report]) -> list[str]:
 
 def _other_check_points(reports: Sequence[Report]) -> list[str]:
     """Folders of reports whose check points differ from those of the first that has some."""
-    found: list[tuple[str, np.ndarray]] = []
-    for one in reports:
-        try:
-            check = one.machine.check
-        except StudyError:
-            continue
-        if check is not None:
-            found.append((one.folder, np.asarray(check.position)))
+    found = [
+        (one.folder, position) for one in reports if (position := check_points(one)) is not None
+    ]
     return [
         name
         for name, position in found[1:]

@@ -4,18 +4,16 @@ import datetime
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
-from ..compensation.machine import IdentifiedMachine
 from ..compensation.stored import SCHEMA as MACHINE_SCHEMA
 from ..errors import StudyError
 from ..numerics.stored import NotStoredError, Reader
 from ..study.identified_machine import FILE as MACHINE
-from ..study.identified_machine import load_machine
 from ..study.messages import listed, refusal, shown
 from .dates import dated
 
@@ -34,7 +32,6 @@ class Report:
     """Path of its folder, below that of all reports."""
     date: datetime.date
     """Date of the measurement."""
-    path: Path
     content: Mapping[str, Any] = field(repr=False)
     """``report.json``."""
     record: Mapping[str, Any] = field(repr=False)
@@ -44,11 +41,6 @@ class Report:
     def serial_number(self) -> str:
         """Serial number of the machine; empty where it is not stated."""
         return _serial(self.content)
-
-    @cached_property
-    def machine(self) -> IdentifiedMachine:
-        """The identified machine. Raises `StudyError` where it cannot be restored."""
-        return load_machine(self.path)
 
 
 def read_reports(
@@ -81,7 +73,7 @@ def read_reports(
     _one_machine(found)
     _own_readings(found)
     when = dated(found, dates or {}, written)
-    reports = [Report(name, when[name], folder / name, *both) for name, both in found.items()]
+    reports = [Report(name, when[name], *both) for name, both in found.items()]
     return sorted(reports, key=lambda one: (one.date, one.folder))
 
 
@@ -126,15 +118,28 @@ def _one_machine(found: Mapping[str, tuple[Mapping[str, Any], Mapping[str, Any]]
 
 def _joints(record: Mapping[str, Any], name: str) -> list[np.ndarray]:
     """Fixed transformations of the joints of an arm, whose text does not tell them; else empty."""
-    objects = record["objects"]
+    chain = _object(record, "chain", name)
+    if not chain.arm:
+        return []
+    return [np.asarray(m) for joint in chain.joints for m in (joint.before, joint.after)]
+
+
+def check_points(report: Report) -> Float[np.ndarray, "n axes"] | None:
+    """Positions of the check points, m or rad; None without any. Raises `StudyError` for a record
+    that is not whole.
+    """
+    found = _object(report.record, "check", report.folder)
+    return None if found is None else np.asarray(dict(found)["position"], float)
+
+
+def _object(record: Mapping[str, Any], key: str, folder: str) -> Any:
+    """An object of ``machine.json``, made again."""
     try:
-        chain = Reader(objects["records"], objects["arrays"]).value(objects["chain"])
-        if not chain.arm:
-            return []
-        return [np.asarray(m) for joint in chain.joints for m in (joint.before, joint.after)]
-    except (NotStoredError, KeyError, TypeError, ValueError, AttributeError) as error:
+        objects = record["objects"]
+        return Reader(objects["records"], objects["arrays"]).value(objects[key])
+    except (NotStoredError, KeyError, IndexError, TypeError, ValueError) as error:
         raise refusal(
-            f"{name}/{MACHINE}", "key objects", f"no chain ({error})", "a whole record", _AGAIN
+            f"{folder}/{MACHINE}", f"key objects.{key}", str(error), "a whole record", _AGAIN
         ) from error
 
 

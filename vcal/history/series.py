@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from ..compensation.parts import GEOMETRY
 from ..identification.fit import POORLY_DETERMINED
-from .change_points import Sample
+from .change_points import Sample, Size
 from .reports import Report
 
 Group = Literal[
@@ -61,8 +61,7 @@ class Entry:
     """What one report says about a series."""
 
     state: State
-    values: Float[np.ndarray, " d"] | None = None
-    covariance: Float[np.ndarray, "d d"] | None = None
+    size: Size | None = None
     smallest: tuple[float | None, ...] = ()
     """Of an effect that is not named: the smallest size of each part that would have been named
     with a probability of 95 %; None where none is known."""
@@ -71,11 +70,6 @@ class Entry:
     def tested(self) -> bool:
         """Whether the values are tested for changes."""
         return self.state in TESTED
-
-    @property
-    def u(self) -> Float[np.ndarray, " d"]:
-        """Standard uncertainties; empty without values."""
-        return np.zeros(0) if self.covariance is None else np.sqrt(np.diag(self.covariance))
 
 
 @dataclass(frozen=True)
@@ -95,8 +89,8 @@ class Series:
     def sample(self, days: Float[np.ndarray, " n"]) -> Sample:
         """The entries that are tested; `days` are the dates of all reports."""
         mine = self.tested
-        values = [self.entries[i].values for i in mine]
-        covariances = [self.entries[i].covariance for i in mine]
+        found = [size for i in mine if (size := self.entries[i].size) is not None]
+        values, covariances = [one.value for one in found], [one.covariance for one in found]
         return Sample(np.asarray(days)[mine], np.array(values), np.array(covariances))
 
 
@@ -126,7 +120,7 @@ def scalar(value: float | None, u: float | None, information: float | None = 1.0
         return Entry("not determined")
     if value is None or not u:
         return Entry("not stated")
-    return Entry("measured", np.array([value]), np.array([[u * u]]))
+    return Entry("measured", Size(np.array([value]), np.array([[u * u]])))
 
 
 def _deviations(reports: Sequence[Report]) -> Iterator[Series]:
@@ -158,10 +152,10 @@ def _check_points(reports: Sequence[Report]) -> Iterator[Series]:
 
 def _effects(reports: Sequence[Report]) -> Iterator[Series]:
     """Effects of the machine that some report has in its model, other than its geometry."""
-    found: dict[tuple[str, tuple[Part, ...]], dict[int, tuple[np.ndarray, np.ndarray]]] = {}
+    found: dict[tuple[str, tuple[Part, ...]], dict[int, Size]] = {}
     for i, report in enumerate(reports):
-        for key, (parts, values, covariance) in _parameters(report.record).items():
-            found.setdefault((key, parts), {})[i] = values, covariance
+        for key, (parts, size) in _parameters(report.record).items():
+            found.setdefault((key, parts), {})[i] = size
     names = [key for key, _ in found]
     for (key, parts), by_report in found.items():
         entries = tuple(
@@ -173,9 +167,7 @@ def _effects(reports: Sequence[Report]) -> Iterator[Series]:
         yield Series(f"{key}{same}", group, parts, entries)
 
 
-def _parameters(
-    record: Mapping[str, Any],
-) -> dict[str, tuple[tuple[Part, ...], np.ndarray, np.ndarray]]:
+def _parameters(record: Mapping[str, Any]) -> dict[str, tuple[tuple[Part, ...], Size]]:
     """Parameters of every effect of a machine, with their values and covariance."""
     places: dict[str, list[int]] = {}
     for i, one in enumerate(record["parameters"]):
@@ -187,7 +179,7 @@ def _parameters(
         parts = tuple(Part(one["parameter"], one["unit"]) for one in listed)
         rows = record["covariance"]
         covariance = np.array([[rows[max(i, j)][min(i, j)] for j in mine] for i in mine])
-        found[key] = parts, np.array([one["value"] for one in listed]), covariance
+        found[key] = parts, Size(np.array([one["value"] for one in listed]), covariance)
     return found
 
 
@@ -195,20 +187,11 @@ def _entry(
     content: Mapping[str, Any],
     key: str,
     parts: tuple[Part, ...],
-    known: tuple[np.ndarray, np.ndarray] | None,
+    known: Size | None,
 ) -> Entry:
     """What a report says about an effect."""
     if known is not None:
-        values, covariance = known
-        definite = (
-            np.all(np.diag(covariance) > 0.0)
-            and np.linalg.eigvalsh(
-                covariance / np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
-            )[0]
-            > len(values) * np.finfo(float).eps
-        )
-        state = _state(content, key) if definite else "not stated"
-        return Entry(state, values, covariance)
+        return Entry(_state(content, key) if _definite(known.covariance) else "not stated", known)
     effect = key.split()[0]
     if any(_key(one) == key for one in content.get("cannot_be_seen", [])):
         return Entry("cannot be seen")
@@ -221,6 +204,15 @@ def _entry(
         if _key(one) == key
     }
     return Entry("not named", smallest=tuple(limits.get(part.name) for part in parts))
+
+
+def _definite(covariance: np.ndarray) -> bool:
+    """Whether no parameter, and no combination of them, is known exactly."""
+    u = np.sqrt(np.diag(covariance))
+    if not (u > 0.0).all():
+        return False
+    least = np.linalg.eigvalsh(covariance / np.outer(u, u))[0]
+    return bool(least > len(u) * np.finfo(float).eps)
 
 
 def _state(content: Mapping[str, Any], key: str) -> State:
