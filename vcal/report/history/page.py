@@ -163,13 +163,8 @@ def _rows(history: History, one: Outcome) -> list[tuple[str, ...]]:
 def _cell(one: Outcome, i: int) -> str:
     """What a report says: values, or the reason why there are none."""
     entry, parts = one.series.entries[i], one.series.parts
-    if entry.values is not None and entry.state != "not stated":
-        values = [
-            f"{part.name} {' ± '.join(text.rounded(float(v), text.COVERAGE * float(u)))} "
-            f"{text.unit(part.unit)}".strip()
-            for part, v, u in zip(parts, entry.values, entry.u, strict=True)
-        ]
-        said = "; ".join(values)
+    if entry.size is not None and entry.state != "not stated":
+        said = "; ".join(sizes(one.series, entry.size))
         return said if entry.state in ("measured", "named") else f"{said} ({entry.state})"
     limits = [
         f"{part.name} {text.number(size)} {text.unit(part.unit)}".strip()
@@ -215,7 +210,6 @@ def _provenance(command: str, seconds: float) -> Section:
         ("versions", ", ".join(f"{k} {v}" for k, v in versions().items())),
         *([("time", f"{text.number(seconds)} s")] if math.isfinite(seconds) else []),
     ]
-    beside = Table(
-        ("file beside this page", "content"), [*FILES.items()], links={n: n for n in FILES}
-    )
+    links = {name: name for name in FILES}
+    beside = Table(("file beside this page", "content"), [*FILES.items()], links=links)
     return Section("Provenance", tables=(Table(("", ""), rows), beside))

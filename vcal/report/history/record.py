@@ -64,8 +64,8 @@ def _series(history: History, one: Outcome) -> dict[str, Any]:
 
 def _entry(series: Series, entry: Entry) -> dict[str, Any]:
     found: dict[str, Any] = {"state": entry.state}
-    if entry.values is not None:
-        found["values"] = _size(series, Size(entry.values, entry.covariance))
+    if entry.size is not None:
+        found["values"] = _size(series, entry.size)
     if entry.smallest:
         found["smallest_sizes"] = [
             {"name": part.name, "unit": part.unit, "size": size}
