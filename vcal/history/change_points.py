@@ -31,6 +31,8 @@ from scipy.stats import chi2
 
 DRAWS = 2000
 """Draws from which an effective number of tests is computed: its relative error is about 1 %."""
+_LENGTHS = 200
+"""Quantiles of the chi-square beyond the threshold from which the draws take theirs."""
 SAME = 3.841
 """Difference of two chi-squares up to which two places of a step are not told apart: the 95 %
 quantile of one degree of freedom."""
@@ -185,8 +187,9 @@ def effective_number(
     normal = random.standard_normal((draws, k))
     which = np.arange(draws) % m
     own = contrasts[which]
-    tail = random.uniform(size=draws) * chi2.sf(threshold, d)
-    length = np.sqrt(2.0 * gammainccinv(0.5 * d, tail))  # the chi-square of that tail
+    tails = (np.arange(_LENGTHS) + 0.5) / _LENGTHS * chi2.sf(threshold, d)
+    lengths = np.sqrt(2.0 * gammainccinv(0.5 * d, tails))  # chi-squares of these tails
+    length = lengths[random.integers(_LENGTHS, size=draws)]
     direction = random.standard_normal((draws, d))
     direction *= (length / np.linalg.norm(direction, axis=1))[:, None]
     inside = np.einsum("sdk,sk->sd", own, normal)

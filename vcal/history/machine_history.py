@@ -49,6 +49,11 @@ class History:
         return [one for one in self.outcomes if one.changes]
 
     @property
+    def appeared(self) -> list[Outcome]:
+        """Effects that have appeared or disappeared."""
+        return [one for one in self.outcomes if one.appearances]
+
+    @property
     def recent(self) -> list[Outcome]:
         """Series whose last result differs significantly from the one before."""
         return [

@@ -13,7 +13,8 @@ from .labels import pretty_unit
 from .style import AFTER, BEFORE, DOTS, INK, MARK, figure, grid, titled
 
 _ACROSS = 3
-_HIGH = 2.1
+_WIDE, _HIGH = 2.35, 2.1
+"""Size of a panel, inches."""
 _MARGINS = {"left": 0.8, "right": 0.25, "top": 0.4, "bottom": 0.5, "wspace": 0.75, "hspace": 0.8}
 _COVERAGE = 2.0
 
@@ -25,10 +26,14 @@ def histories(found: Sequence[Outcome], dates: Sequence[datetime.date]) -> Figur
     An effect that is not named is a triangle at the smallest size that would have been named.
     """
     shown = [(one, k) for one in found for k in range(len(one.series.parts))]
-    rows = -(-len(shown) // _ACROSS)
-    height = _MARGINS["top"] + _MARGINS["bottom"] + rows * _HIGH + (rows - 1) * _MARGINS["hspace"]
-    drawn = figure(9.6, height)
-    table = grid(drawn, rows, _ACROSS, _MARGINS)
+    columns = min(len(shown), _ACROSS)
+    rows = -(-len(shown) // columns)
+    width = columns * (_WIDE + _MARGINS["wspace"]) - _MARGINS["wspace"]
+    width += _MARGINS["left"] + _MARGINS["right"]
+    height = rows * (_HIGH + _MARGINS["hspace"]) - _MARGINS["hspace"]
+    height += _MARGINS["top"] + _MARGINS["bottom"]
+    drawn = figure(width, height)
+    table = grid(drawn, rows, columns, _MARGINS)
     for ax, (one, k) in zip(table.flat, shown, strict=False):
         _panel(ax, one, k, dates)
     for ax in table.flat[len(shown) :]:

@@ -9,7 +9,7 @@ from ..html import text
 from ..html.picture import Picture, Shown, by_section
 from ..html.provenance import EXPANDED, NAMES, versions
 from ..html.sheet import Badge, Section, Table, Tile, sheet
-from .sentences import lines, sentence, sizes
+from .sentences import appearance, sentence, sizes
 
 FILES = {"history.json": "all results, for programs"}
 _POOR = 0.01
@@ -49,9 +49,9 @@ def page(
 
 
 def _badge(history: History) -> Badge:
-    if not history.tested:
-        return Badge("Nothing to compare")
-    return Badge("Changed", "caution") if history.changed else Badge("No change found", "good")
+    if history.changed or history.appeared:
+        return Badge("Changed", "caution")
+    return Badge("No change found", "good") if history.tested else Badge("Nothing to compare")
 
 
 def _tiles(history: History) -> list[Tile]:
@@ -102,7 +102,9 @@ def _changes(history: History) -> Section:
         for one in history.outcomes
         for change in one.changes
     ]
-    appeared = [line for line in lines(history) if "would have named" in line]
+    appeared = [
+        appearance(one.series, found) for one in history.appeared for found in one.appearances
+    ]
     words = () if rows or appeared else ("None is significant.",)
     header = ("series", "kind", "size ± U (k = 2)", "dates", "p, corrected")
     note = (

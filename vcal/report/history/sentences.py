@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from ...history import Appearance, Change, History, Outcome, Series, Size
+from ...history import Appearance, Change, History, Series, Size
 from ...words import counted, plural
 from ..html import text
 
@@ -13,14 +13,16 @@ def sentence(history: History) -> str:
     first, last = history.reports[0].date, history.reports[-1].date
     if len(history.reports) == 1:
         return f"There is one report, of {first}: nothing to compare it with."
-    if not history.tested:
+    if not history.tested and not history.appeared:
         return f"No result of the {span} from {first} to {last} occurs on two dates."
     count = len(history.changed)
     series = f"{len(history.tested)} series of {span} from {first} to {last}"
+    names = [f"{one.series.name} {one.appearances[0].what}" for one in history.appeared]
+    effects = f" {'; '.join(names)}." if names else ""
     if not count:
-        return f"No significant change was found in {series}."
+        return f"No significant change was found in {series}.{effects}"
     some = f"{count} of {series} {plural(count, 'has', 'have')} changed significantly"
-    return f"{some}: {', '.join(one.series.name for one in history.changed)}."
+    return f"{some}: {', '.join(one.series.name for one in history.changed)}.{effects}"
 
 
 def lines(history: History) -> list[str]:
@@ -28,7 +30,7 @@ def lines(history: History) -> list[str]:
     found = []
     for one in history.outcomes:
         found += [said(one.series, change) for change in one.changes]
-        found += [_appearance(one, change) for change in one.appearances]
+        found += [appearance(one.series, change) for change in one.appearances]
     return found
 
 
@@ -48,11 +50,12 @@ def sizes(series: Series, size: Size) -> Iterable[str]:
         yield f"{part.name} {shown} {text.unit(part.unit)}".strip()
 
 
-def _appearance(one: Outcome, found: Appearance) -> str:
+def appearance(series: Series, found: Appearance) -> str:
+    """An effect that has appeared or disappeared, in words."""
     unit = text.unit(found.unit)
     shown = " ± ".join(text.rounded(found.value, text.COVERAGE * found.u))
     return (
-        f"{one.series.name}: {found.what} between {found.first} and {found.last}; {found.part} "
+        f"{series.name}: {found.what} between {found.first} and {found.last}; {found.part} "
         f"{shown} {unit}, while the other report would have named it from "
         f"{text.number(found.smallest)} {unit} on"
     )
