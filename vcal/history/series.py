@@ -198,11 +198,11 @@ def _entry(
     untestable = any(_key(one) == key for one in content["untestable"])
     if effect not in content["settings"]["effects"] or untestable or content["interrupted"]:
         return Entry("not searched for")
-    limits = {
-        one["parameter"]: one["size"]
-        for one in content.get("smallest_sizes", [])
-        if _key(one) == key
-    }
+    limits: dict[str, float] = {}
+    for one in content.get("smallest_sizes", []):
+        if _key(one) == key and one["size"] is not None:
+            name = one["parameter"]  # of several instances of the effect
+            limits[name] = min(one["size"], limits.get(name, one["size"]))
     return Entry("not named", smallest=tuple(limits.get(part.name) for part in parts))
 
 
