@@ -118,7 +118,7 @@ def test_p_values_are_uniform_where_nothing_has_changed(parts):
     root = np.linalg.cholesky(np.eye(parts) + 0.5)
     roots = U[:, None, None] * root
     covariances = roots @ roots.swapaxes(1, 2)
-    count = 200
+    count = 150
     draws = random.standard_normal((count, len(U), parts))
     found = [
         against_constant(Sample(TIMES, np.einsum("nij,nj->ni", roots, one), covariances), seed=i)
@@ -132,7 +132,7 @@ def test_p_values_are_uniform_where_nothing_has_changed(parts):
 
 def test_any_change_in_a_history_without_one_has_probability_alpha():
     random = np.random.default_rng(11)
-    alpha, count = 0.2, 50
+    alpha, count = 0.2, 40
     alarms = 0
     for _ in range(count):
         drawn = [series(U * random.standard_normal(len(U)), name=f"{i}") for i in range(4)]

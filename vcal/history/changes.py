@@ -101,7 +101,7 @@ def outcomes(
 
     Each series has one p-value, which is corrected for its places (`against_constant`); over the
     series they are corrected by Holm. After a step, the results before and after it are tested in
-    the same way, corrected for the number of series (binary segmentation).
+    the same way for further steps, corrected for the number of series (binary segmentation).
     """
     days = np.array([(date - dates[0]).days for date in dates], float)
     samples = [one.sample(days) for one in series]
@@ -112,17 +112,13 @@ def outcomes(
     found = []
     for i, (one, sample, test) in enumerate(zip(series, samples, tests, strict=True)):
         p = corrected.get(i, 1.0)
-        changes: list[Change] = []
-        places: dict[int, tuple[list[int], float]] = {}
-        drifts = False
         when = [dates[k] for k in one.tested]
-        if test is not None and p <= alpha:
-            drifts = test.best.kind == "drift"
-            if drifts:
-                changes = [_drift(sample, test, when, p)]
-            else:
-                places = _places(sample, test, p, len(corrected), alpha, seed)
-                changes = _steps(sample, places, when)
+        drift, places = None, {}
+        if test is not None and p <= alpha and test.best.kind == "drift":
+            drift = _drift(sample, test, when, p)
+        elif test is not None and p <= alpha:
+            places = _places(sample, test, p, len(corrected), alpha, seed)
+        changes = _steps(sample, places, when) if drift is None else [drift]
         size, first, last = since[i]
         found.append(
             Outcome(
@@ -130,8 +126,8 @@ def outcomes(
                 tested=test,
                 p_value=p,
                 changes=tuple(changes),
-                segments=_segments(one, sample, list(places), changes[0] if drifts else None),
-                remaining_p_value=remaining(sample, list(places), drifts),
+                segments=_segments(one, sample, list(places), drift),
+                remaining_p_value=remaining(sample, list(places), drift is not None),
                 since=None if size is None else Since(first, last, size, size.p_value, recent[i]),
                 appearances=tuple(_appear(one, dates)),
             )

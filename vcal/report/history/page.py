@@ -195,7 +195,7 @@ def _method(history: History) -> Section:
             "of every report. Reports count as independent. The largest chi-square has a p-value "
             "for the effective number of these tests, which share their data; over the series, "
             "p-values are corrected by Holm. The results before and after a significant step are "
-            "tested again.",
+            "tested again for further steps.",
             f"The probability that any change is found where nothing has changed is at most "
             f"{text.percent(history.alpha)}. It is lower where results depend on declared priors, "
             "or on errors that all measurements share, such as those of one instrument.",
