@@ -26,6 +26,7 @@ from vcal.effects.data_set import OfDataSet
 from vcal.geometry.acceptance import geometric_tests
 from vcal.geometry.error_field import ErrorField
 from vcal.geometry.error_motions import ErrorMotionTable
+from vcal.history import read_history
 from vcal.identification.model_averaging import Alternatives
 from vcal.instruments.ball_array import BallCalibration
 from vcal.instruments.conditions import file_column
@@ -211,6 +212,31 @@ def test_page_begins_with_the_decision(closed, written):
         "machine": {"serial_number": "A 17"},
         "measurement": {"operator": "N. N."},
     }
+
+
+def test_a_report_is_read_for_the_history_of_its_machine(written):
+    content = strict(written / "report.json")
+    found = read_history(written.parent, written=True)
+    (report,) = found.reports
+    assert (report.folder, found.serial_number) == ("report", "A 17")
+    series = {one.series.name: one.series for one in found.outcomes}
+    for one in content["geometry"]:
+        if one["information_share"] > 0.05:
+            size = series[f"{one['name']}: {one['what']}"].entries[0].size
+            assert size is not None
+            assert (size.value[0], size.u[0]) == pytest.approx(
+                (one["value"], one["standard_uncertainty"])
+            )
+    for name in ("volumetric error, rms", "check points, rms before compensation"):
+        assert series[name].entries[0].state == "measured"
+    for one in content["effects"]:
+        key = f"{one['effect']} {one['placement']}"
+        (entry,) = series[key].entries
+        known = {p["name"]: p for p in one["parameters"]}
+        assert entry.state == "named" and entry.size is not None
+        for part, value, u in zip(series[key].parts, entry.size.value, entry.size.u, strict=True):
+            wanted = known[part.name]["value"], known[part.name]["standard_uncertainty"]
+            assert (value, u) == pytest.approx(wanted)
 
 
 def test_record_tells_errors_before_and_after(written):

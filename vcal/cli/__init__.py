@@ -5,7 +5,7 @@ but ``python -m vcal`` stands on it. `commands` declares the arguments and the h
 what all commands share, and `show` what they print.
 """
 
-from . import certificate_command, compensation_commands  # add their commands to `app`
+from . import certificate_command, compensation_commands, history_command  # commands of `app`
 from .commands import app, main
 
-__all__ = ["app", "certificate_command", "compensation_commands", "main"]
+__all__ = ["app", "certificate_command", "compensation_commands", "history_command", "main"]
