@@ -28,7 +28,7 @@ from vcal.study.statements import statements
 DCC, SI = "{https://ptb.de/dcc}", "{https://ptb.de/si}"
 TODAY = datetime.date(2026, 3, 20)
 ABOUT = {
-    "machine": {"manufacturer": "Mill & Co", "type": "M 5", "serial_number": "A 17"},
+    "machine": {"manufacturer": "Mill & Co", "model": "M 5", "serial_number": "A 17"},
     "instruments": {"laser_tracker": "laser_tracker"},
     "acceptance": {"volumetric_um": 20.0, "draws": 400},
     "measurement": {"operator": "N. N.", "date": "2026-03-14"},

@@ -21,7 +21,7 @@ _REPORT = "report.json"
 _BLOCK = 256
 _FEWEST = 32
 """Check points of which a block of rows may consist."""
-_OF_MACHINE = ("manufacturer", "type", "serial_number")
+_OF_MACHINE = ("manufacturer", "model", "serial_number")
 
 
 def identified_machine(closure: Closure, study: Study, date: str = "") -> IdentifiedMachine:

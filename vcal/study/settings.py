@@ -153,8 +153,8 @@ class MachineSettings(Table):
     """A remark on the place of the arm's base, whose pose is always identified."""
     manufacturer: str | None = Field(default=None, min_length=1)
     """Manufacturer of the machine; shown in the report and in a certificate, as the next two."""
-    type: str | None = Field(default=None, min_length=1)
-    """Its type designation."""
+    model: str | None = Field(default=None, min_length=1)
+    """Its model or type designation, as on its plate."""
     serial_number: str | None = Field(default=None, min_length=1)
     """Its serial number."""
 

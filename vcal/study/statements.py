@@ -115,7 +115,7 @@ class MachineStatement(Statement):
     """What ``[machine]`` states of the machine as an item."""
 
     manufacturer: _Text | None = None
-    type: _Text | None = None
+    model: _Text | None = None
     serial_number: _Text | None = None
 
 

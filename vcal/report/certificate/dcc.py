@@ -170,7 +170,7 @@ def _item(one: Certificate) -> Element:
         _text("name", machine.name or "machine tool"),
         _text("description", about),
         None if made is None else _dcc("manufacturer", _text("name", made)),
-        None if stated.type is None else _dcc("model", stated.type),
+        None if stated.model is None else _dcc("model", stated.model),
         _dcc(
             "identifications",
             _dcc(

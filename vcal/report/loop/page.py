@@ -156,7 +156,7 @@ def _facts(closure: Closure, study: Study) -> list[tuple[str, str]]:
 
 def _named(machine: Mapping[str, str]) -> list[str]:
     """Manufacturer, type and serial number, those that are stated."""
-    made = " ".join(machine[key] for key in ("manufacturer", "type") if key in machine)
+    made = " ".join(machine[key] for key in ("manufacturer", "model") if key in machine)
     number = machine.get("serial_number")
     return [*([made] if made else []), *([f"serial number {number}"] if number else [])]
 
