@@ -3,6 +3,7 @@
 import json
 import shutil
 
+import jax
 from typer.testing import CliRunner
 
 import vcal
@@ -16,6 +17,14 @@ SMALL = (
 )
 FREE = ("--set", "design.across_mm=[40,40]", "--set", "design.along=true",
         "--set", "design.spacing_mm=20")  # fmt: skip
+
+
+def slopes(function, at, way, h=1e-3):
+    """The slope of a function along `way`: by its gradient, and by differences of fourth order."""
+    value = jax.jit(jax.value_and_grad(lambda step: function(at + step * way)))
+    values = {k: float(value(k * h)[0]) for k in (-2, -1, 1, 2)}
+    differences = (8.0 * (values[1] - values[-1]) - (values[2] - values[-2])) / (12.0 * h)
+    return float(value(0.0)[1]), differences
 
 
 def declare(folder, tmp_path, text):
