@@ -55,7 +55,7 @@ def _panel(ax: Axes, found: Outcome, k: int, dates: Sequence[datetime.date]) -> 
     _steps(ax, found, k, days)
     name = series.parts[k].name
     unit = pretty_unit(series.parts[k].unit)
-    titled(ax, f"{series.name}{f', {name}' if name else ''}", "", unit)
+    titled(ax, f"{series.name}{f', {name}' if name else ''}", "date of measurement", unit)
     locator = AutoDateLocator(minticks=2, maxticks=5)
     ax.xaxis.set_major_locator(locator)
     ax.xaxis.set_major_formatter(ConciseDateFormatter(locator))

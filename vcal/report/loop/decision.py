@@ -194,7 +194,7 @@ def volumetric_section(
         f"mean and standard deviation over {error.draws} machines drawn from the identified "
         f"distribution (seed {error.seed})."
     )
-    table = Table(("", "rms, µm", "u", "largest, µm", "u"), rows, "lrrrr", note=note)
+    table = Table(("", "rms, µm", "u, µm", "largest, µm", "u, µm"), rows, "lrrrr", note=note)
     return [Section(title, tables=(table,), pictures=drawn, scenes=turned)]
 
 
