@@ -2,7 +2,8 @@
 
 The machines and instruments are those of power.py. For every effect, the size is the
 smallest that `vcal.loop.detectable` states for the set without any effect; it is then measured
-with other noise, and the loop is closed. An effect of that size is named with 95 %.
+with other noise, at the pitch for which the size is stated, and the loop is closed. An effect of
+that size is named with 95 %.
 
     python benchmarks/smallest_sizes.py --sets 60 --jobs 2 --minutes 60
     python benchmarks/smallest_sizes.py --summary
@@ -12,14 +13,22 @@ there. The second makes results/smallest_sizes.json from the lines.
 """
 
 import argparse
+import dataclasses
+import math
 import time
 import zlib
 from collections.abc import Iterator, Sequence
 from fnmatch import fnmatch
+from typing import TYPE_CHECKING
 
 from power import ALPHA, DRAWS, FIRST_SEED, load, screened
 from power_summary import is_of
 from records import campaign, campaign_parser, make_sets, share
+
+if TYPE_CHECKING:
+    from power_cases import Sized, Term
+
+    from vcal.loop.detectable import SmallestSize
 
 KINDS = {
     "laser_tracker": ("backlash", "lateral_reversal", "angular_reversal", "scale_growth",
@@ -57,17 +66,19 @@ def one_set(case: str, seed: int) -> dict | None:
     seen = detectable(fit, vcal.CATALOGUE.values(), screening, alpha=ALPHA, seed=seed)
     term = sized[0](1.0)
     limits = [
-        limit.size
+        limit
         for limit in seen.limits
         if limit.effect.key == term.key
         and (not term.parameters or limit.amplitude.name in term.parameters)
     ]
-    line: dict = {"case": case, "seed": seed, "limit": limits}
-    size = min(limits, default=float("inf"))
-    if size == float("inf"):
+    least = min(limits, key=lambda limit: limit.size, default=None)
+    size = float("inf") if least is None else least.size
+    line: dict = {"case": case, "seed": seed, "limit": size}
+    if least is None or size == float("inf"):
         return line | {"verdict": "not stated", "named": False, "found": [], "seconds": 0.0}
     noise = zlib.crc32(f"{case} {seed}".encode())
-    study = load(make(entry, world, sized, [size], noise_seed=noise).case)
+    at_its_shape = [_at_its_shape(sized[0], least)]
+    study = load(make(entry, world, at_its_shape, [size], noise_seed=noise).case)
     closure = vcal.close_loop(
         study.model, study.measurement, check=study.check, alpha=ALPHA, draws=DRAWS, seed=seed
     )
@@ -82,6 +93,20 @@ def one_set(case: str, seed: int) -> dict | None:
         "found": found,
         "seconds": round(time.perf_counter() - start, 2),
     }
+
+
+def _at_its_shape(drawn: "Sized", limit: "SmallestSize") -> "Sized":
+    """A drawn effect with the pitch and the phase of a limit, where it has any."""
+
+    def sized(size: float) -> "Term":
+        term = drawn(size)
+        if "pitch" not in limit.shape:
+            return term
+        phase = {"sine": 0.0, "cosine": 0.5 * math.pi}[limit.amplitude.name]
+        at = {"pitch_mm": 1e3 * limit.shape["pitch"], "phase": phase}
+        return dataclasses.replace(term, effects=tuple(dict(e) | at for e in term.effects))
+
+    return sized
 
 
 def work(options: argparse.Namespace) -> None:

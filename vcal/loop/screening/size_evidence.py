@@ -103,6 +103,15 @@ def log_mixture(information: np.ndarray, scores: np.ndarray) -> np.ndarray:
     return most + np.log(np.exp(each - most[..., None]).sum(-1))
 
 
+def mixture_terms(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What `log_mixture` needs of the information (..., c), for many scores b: factors (..., c, k)
+    and constants (..., k) with which it is the log of the sum over k of exp(b^2 factors +
+    constants).
+    """
+    grown = 1.0 + _SQUARED * information[..., None]
+    return 0.5 * _SQUARED / grown, _LOG_ODDS - 0.5 * np.log(grown).sum(-2)
+
+
 def over_scales(fit: Fit, entries: slice | np.ndarray, noise_scale: float = 1.0) -> float:
     """What the mixture adds to the log evidence of a fit (`Fit.log_evidence`), for the effect whose
     amplitudes are these entries of theta.

@@ -40,8 +40,8 @@ def could_be_seen_section(seen: Detectable | None) -> list[Section]:
             (
                 f"An effect of these sizes would have been named with a probability of {chance}, "
                 "beside what was identified. This measurement says nothing about smaller ones. A "
-                "size holds for one amplitude alone, at a pitch, time constant or point of time "
-                "of median sensitivity.",
+                "size holds for one amplitude alone, and at the stated pitch, time constant or "
+                "point of time: that of median sensitivity.",
             ),
             tables=(
                 Table(
@@ -95,7 +95,18 @@ def _row(key: str, limits: Sequence[SmallestSize]) -> tuple[str, str, str, str]:
         else f"{', '.join(names)}: not by itself, as {' or '.join(alike)} may be the cause"
         for unit, names in sizes.items()
     ]  # fmt: skip
+    if sizes.keys() - {"not by itself"} and (at := _at(limits[0])):
+        told.append(f"at {at}")
     return key, inner.summary, "; ".join(told), ", ".join(expected)
+
+
+def _at(limit: SmallestSize) -> str:
+    """The shape at which a limit holds: ``"pitch 36 mm"``."""
+    return ", ".join(
+        f"{p.name} {text.number(limit.shape[p.name] / p.si, 2)} {text.unit(p.unit)}".strip()
+        for p in limit.effect.shapes
+        if p.name in limit.shape
+    )
 
 
 def _smallest(limits: Sequence[SmallestSize]) -> Mapping[str, SmallestSize]:
@@ -120,6 +131,7 @@ def could_be_seen_record(seen: Detectable | None) -> dict[str, Any]:
                 "effect": limit.effect.name,
                 "placement": limit.effect.placement,
                 "parameter": limit.amplitude.name,
+                "shape": dict(limit.shape),
                 "unit": limit.amplitude.unit,
                 "size": limit.size if math.isfinite(limit.size) else None,
                 "rivals": list(limit.rivals),
