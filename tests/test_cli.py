@@ -18,9 +18,9 @@ import pytest
 from typer.testing import CliRunner
 
 import vcal
-import vcal.cli.loop
 import vcal.cli.show
 import vcal.report
+import vcal.study.close_study
 from vcal.cli import app
 from vcal.cli.session import cache_folder, listen, working
 from vcal.cli.start_studies import example
@@ -751,7 +751,7 @@ def test_interrupted_before_there_is_anything(tmp_path, small_tracker_study, mon
     def interrupted(*args, **kwargs):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(vcal.cli.loop, "close_loop", interrupted)
+    monkeypatch.setattr(vcal.study.close_study, "close_loop", interrupted)
     shown = run("loop", small_tracker_study, "--out", tmp_path / "out", code=130)
     assert shown.stderr == "vcal: interrupted; nothing was written\n"
     assert not (tmp_path / "out").exists()
@@ -765,7 +765,7 @@ def test_interrupted_with_something_to_tell(tmp_path, small_tracker_study, monke
         return out / "index.html"
 
     closure = SimpleNamespace(interrupted=True, found="what is known")
-    monkeypatch.setattr(vcal.cli.loop, "close_loop", lambda *args, **kwargs: closure)
+    monkeypatch.setattr(vcal.study.close_study, "close_loop", lambda *args, **kwargs: closure)
     monkeypatch.setattr(vcal.report, "write_report", write)
     monkeypatch.setattr(vcal.cli.show, "show_closure", lambda closure: print("a sentence"))
     out = tmp_path / "out"
@@ -779,7 +779,7 @@ def test_an_output_that_cannot_be_written(small_tracker_study, monkeypatch):
     def unwritable(*args, **kwargs):
         raise PermissionError(13, "Permission denied", "/nowhere/out")
 
-    monkeypatch.setattr(vcal.cli.loop, "close_loop", unwritable)
+    monkeypatch.setattr(vcal.study.close_study, "close_loop", unwritable)
     told = refused("loop", small_tracker_study, "--out", small_tracker_study / "out")
     assert told == "vcal: /nowhere/out: Permission denied\n"
 

@@ -9,15 +9,15 @@ from functools import partial
 import numpy as np
 import pytest
 
-import vcal.cli.loop
+import vcal.study.close_study
 from designing import run, run_trusted
-from vcal.cli.loop import close_study
 from vcal.effects.registry import load_effects
 from vcal.errors import StudyError
 from vcal.loop.screening.candidates import UntestableError
 from vcal.model.measurement import Measurement
 from vcal.report.html.folder import ReportFolder
 from vcal.study import read_table, write_table
+from vcal.study.close_study import close_study
 from vcal.study.simulated import parse_with
 
 load_study = partial(vcal.load_study, trust=True)
@@ -328,7 +328,7 @@ def test_a_file_in_the_folder_of_the_report(small_tracker_study, monkeypatch):
     def unexpected(*args, **kwargs):
         raise AssertionError("the loop was run")
 
-    monkeypatch.setattr(vcal.cli.loop, "close_loop", unexpected)
+    monkeypatch.setattr(vcal.study.close_study, "close_loop", unexpected)
     out = small_tracker_study / "out"
 
     def make(work):
@@ -390,7 +390,7 @@ def test_equations_without_a_solution_may_be_due_to_either_file(small_tracker_st
     def unsolvable(*args, **kwargs):
         raise np.linalg.LinAlgError("not positive definite")
 
-    monkeypatch.setattr(vcal.cli.loop, "close_loop", unsolvable)
+    monkeypatch.setattr(vcal.study.close_study, "close_loop", unsolvable)
     study = load_study(small_tracker_study)
     with pytest.raises(StudyError) as caught:
         close_study(study, study.measurement, lambda text: None)

@@ -116,7 +116,14 @@ def _options(
 @app.command()
 @guarded
 def loop(
-    setup: Setup,
+    setups: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Study file (TOML), or a folder with a setup.toml. With several, each has a "
+            "report of its own below PATH/reports, and a page lists them.",
+            metavar="SETUP...",
+        ),
+    ],
     out: ReportFolder,
     alpha: Annotated[
         float | None,
@@ -148,6 +155,30 @@ def loop(
             help="Write the compensation table even where compensation does not reduce the error.",
         ),
     ] = False,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            min=1,
+            help="Processes that close the loop on several studies side by side; one by default. "
+            "Each takes about 1 GB of memory.",
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Scheduler of a Dask cluster, tcp://HOST:PORT, whose workers close the loop on "
+            "several studies. They must see the same folders.",
+        ),
+    ] = None,
+    again: Annotated[
+        bool,
+        typer.Option(
+            "--again",
+            help="Close the loop also on those of several studies whose report is up to date.",
+        ),
+    ] = False,
     override: Override = None,
     trust: Trust = False,
     pdf: Pdf = False,
@@ -155,11 +186,12 @@ def loop(
     """Find the effects that the declared model lacks, identify them, and write a report.
 
     An option that is not given has the value of the loop table of the study file, or the default
-    of that table.
+    of that table. With several studies, a study that cannot be used does not affect the others,
+    and a repeated command leaves out those whose report is up to date.
     """
     options = {"alpha": alpha, "seed": seed, "draws": draws, "max_effects": max_effects}
     given = list(override or [])
-    command = ["vcal", "loop", str(setup), "--out", str(out)]
+    command = ["vcal", "loop", *map(str, setups), "--out", str(out)]
     for name, value in options.items():
         if value is not None:
             given.append(f"loop.{name}={value}")
@@ -173,8 +205,18 @@ def loop(
         command.append("--compensate-anyway")
     for text in override or []:
         command += ["--set", text]
-    command += [*["--trust"] * trust, *["--pdf"] * pdf]
-    _close(setup, out, given, shlex.join(command), trust, compensate_anyway, pdf)
+    command += [*["--trust"] * trust, *["--pdf"] * pdf, *["--again"] * again]
+    if len(setups) == 1 and workers is None and scheduler is None and not again:
+        _close(setups[0], out, given, shlex.join(command), trust, compensate_anyway, pdf)
+        return
+    command += ["--workers", str(workers)] * (workers is not None)
+    command += ["--scheduler", scheduler] if scheduler is not None else []
+    from .fleet import close_all
+
+    close_all(
+        setups, out, given, shlex.join(command), trust=trust, compensate_anyway=compensate_anyway,
+        again=again, workers=workers, scheduler=scheduler, pdf=pdf,
+    )  # fmt: skip
 
 
 @app.command()
@@ -201,34 +243,15 @@ def _close(
 ) -> None:
     began = time.perf_counter()
     start()
-    from .. import load_study
-    from ..errors import StudyError
-    from ..report import check_folder, write_report
-    from .loop import close_study
+    from ..fleet.one_study import Settings, close_into
+    from ..report import check_folder
     from .show import decision_in, show_closure
 
     check_folder(out)  # before the work, not after it
     browser = browser_for(pdf)
+    settings = Settings(tuple(overrides), trust, compensate_anyway)
     with working("reading the study") as progress:
-        study = load_study(setup, overrides, trust=trust)
-        check_folder(out, (study.folder / name for name in study.hashes))
-        if study.measurement is None:
-            raise StudyError(
-                f"{study.sets[0].file}, header: found a plan without columns of readings, expected "
-                f"the readings of a {study.sets[0].settings.kind}; add the measured readings, or "
-                "simulate some with `vcal simulate`"
-            )
-        closure = close_study(study, study.measurement, progress)
-        progress("writing the report")
-        seconds = time.perf_counter() - began
-        page = write_report(
-            closure,
-            study,
-            out,
-            command=command,
-            seconds=seconds,
-            compensate_anyway=compensate_anyway,
-        )
+        study, closure, page = close_into(setup, out, settings, command, progress, began=began)
     show_closure(closure)
     if study.settings.acceptance is not None and (decision := decision_in(out)):
         say(decision)

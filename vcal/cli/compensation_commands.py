@@ -248,8 +248,8 @@ def machine_of(
     Raises `StudyError` where it is neither, and as the loop does.
     """
     from .. import load_study
+    from ..study.close_study import close_study
     from ..study.identified_machine import identified_machine, is_report, load_machine
-    from .loop import close_study
 
     if is_report(source):
         if overrides:

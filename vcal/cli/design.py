@@ -14,9 +14,9 @@ from ..report.design.write import check_design_folder, write_design
 from ..report.next_measurement.record import carried_over, sentence
 from ..report.next_measurement.write import write_next
 from ..study import Study, load_study
+from ..study.close_study import close_study
 from ..study.design.rivals import Wanted, parse_rivals, rivals_of
 from ..study.design.task import StudyDesign, check_designed
-from .loop import close_study
 
 _MORE = {"pose": 1, "point": 10, "setup": 1}
 """Default size of the next measurement, by the group that a space places."""

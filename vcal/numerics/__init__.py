@@ -5,7 +5,8 @@
 - `spatial`, `rigid`: rotations and rigid motions, as arrays or by components;
 - `compiled`, `identity_cache`, `arrays`, `record`: compilation, caches, and the base classes of
   what may be traced;
-- `normal_draws`: normal numbers from explicit keys.
+- `normal_draws`: normal numbers from explicit keys;
+- `processes`: jobs in processes of this computer.
 
 This package knows only jax, equinox, optimistix, numpy and scipy, and no other package of vcal.
 Every package above may use it.

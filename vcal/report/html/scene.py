@@ -1,17 +1,13 @@
 """Pictures in three dimensions that the reader of a page can turn.
 
 A scene is data: places, and layers of errors at them. The script `scene.js` draws it on a canvas,
-from the JSON that the page holds; no other script is on a page, and its security policy lets no
-other one run. Without a script, and in print, the pictures below the scene show the same numbers.
+from the JSON that the page holds. Without a script, and in print, the pictures below the scene show
+the same numbers.
 """
 
-import base64
-import functools
-import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -97,16 +93,3 @@ def _layer(layer: Layer) -> dict[str, Any]:
         "step": step,
         "values": [v if k else None for v, k in zip(whole, known.ravel(), strict=True)],
     }
-
-
-@functools.cache
-def script() -> Markup:
-    """The script of scenes, which a page holds as it is."""
-    return Markup(Path(__file__).with_name("scene.js").read_text(encoding="utf-8"))
-
-
-@functools.cache
-def script_hash() -> str:
-    """Its hash, as a content security policy names it."""
-    digest = hashlib.sha256(script().encode()).digest()
-    return f"sha256-{base64.b64encode(digest).decode()}"

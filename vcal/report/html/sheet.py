@@ -9,7 +9,8 @@ import jinja2
 
 from ...words import printable
 from .picture import Picture, address
-from .scene import Scene, script, script_hash
+from .scene import Scene
+from .scripts import SCENE, SORT, script, script_hash
 
 Tone = Literal["good", "plain", "caution", "bad"]
 _SIDES = {"l": "", "r": "n", "c": "code"}
@@ -55,6 +56,8 @@ class Table:
     """A paragraph above the table."""
     marked: frozenset[tuple[int, int]] = frozenset()
     """Row and column of the cells that are highlighted."""
+    sortable: bool = False
+    """Whether a click on the head of a column sorts the rows of a page."""
 
     def __post_init__(self):
         if self.align and len(self.align) != len(self.header) or set(self.align) - set(_SIDES):
@@ -78,7 +81,7 @@ class Table:
     def kind(self) -> str:
         """Style class of the whole: few rows stay on one printed page, many columns are small."""
         few, many = len(self.rows) <= _FEW_ROWS, len(self.header) >= _MANY_COLUMNS
-        return " ".join(["short"] * few + ["wide"] * many)
+        return " ".join(["short"] * few + ["wide"] * many + ["sortable"] * self.sortable)
 
     def style(self, row: int, column: int) -> str:
         """Style classes of one cell."""
@@ -149,8 +152,15 @@ def sheet(
         warnings=warnings,
         tiles=tiles,
         sections=sections,
-        scripted=any(section.scenes for section in sections),
+        scripts=_scripts(sections),
     )
+
+
+def _scripts(sections: Sequence[Section]) -> list[str]:
+    """The scripts that these sections need."""
+    scenes = any(section.scenes for section in sections)
+    sortable = any(table.sortable for section in sections for table in section.tables)
+    return [*[SCENE] * scenes, *[SORT] * sortable]
 
 
 def _render(template: str, **values: Any) -> str:

@@ -1,4 +1,4 @@
-"""The command `vcal loop`: closing the loop with the settings of a study file."""
+"""Closing the loop with the settings of a study file."""
 
 from collections.abc import Callable
 from functools import partial
@@ -9,10 +9,10 @@ from ..loop.close_loop import close_loop
 from ..loop.outcome.closure import Closure
 from ..loop.screening.candidates import UntestableError
 from ..model.measurement import Measurement
-from ..study import Study
-from ..study.discrete_changes import check_declared
-from ..study.messages import listed, refusal
 from ..words import unsolvable
+from .discrete_changes import check_declared
+from .messages import listed, refusal
+from .study import Study
 
 
 def close_study(study: Study, measurement: Measurement, progress: Callable[[str], None]) -> Closure:
