@@ -86,6 +86,7 @@ def _study(folder, step, count, pitch):
     return folder / "setup.toml"
 
 
+@pytest.mark.slow
 def test_a_class_of_pitches_is_named_and_what_is_common_is_compensated(tmp_path):
     """Steps of 47 mm and a pitch of 9 mm, which is not a usual one."""
     study = vcal.load_study(_study(tmp_path, 47.0, 21, 9.0))
@@ -118,6 +119,7 @@ def test_a_class_of_pitches_is_named_and_what_is_common_is_compensated(tmp_path)
     assert size[0] < 0.5 * size[1]
 
 
+@pytest.mark.thorough
 def test_check_says_which_pitches_cannot_be_distinguished_or_seen(tmp_path):
     """Steps of 50 mm: five and ten are divisors of it."""
     path = _study(tmp_path, 50.0, 20, 10.0)

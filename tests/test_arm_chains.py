@@ -98,6 +98,7 @@ def fitted(study):
     return identify(study.model, study.measurement, keep=~apart)
 
 
+@pytest.mark.thorough
 def test_a_column_with_an_arm_is_fitted(column):
     study = load_study(column)
     names = [entry.parameter.name for entry in study.model.entries]
@@ -126,6 +127,7 @@ COUPLED = np.eye(7)
 COUPLED[3, 2] = -1.0  # joint 4 is counted from the horizontal
 
 
+@pytest.mark.thorough
 def test_a_coupled_readout(tmp_path):
     q = poses(COLUMN, 60)
     commands = q @ np.linalg.inv(COUPLED).T
@@ -139,6 +141,7 @@ def test_a_coupled_readout(tmp_path):
     assert "coupled" in study.chain.text
 
 
+@pytest.mark.thorough
 def test_a_coupling_between_a_slide_and_an_angle_is_in_the_units_of_the_columns(tmp_path):
     q = poses(COLUMN, 20)
     coupling = np.eye(7)
@@ -150,6 +153,7 @@ def test_a_coupling_between_a_slide_and_an_angle_is_in_the_units_of_the_columns(
     np.testing.assert_allclose(study.plan.position, q, atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_modified_rows_in_a_study(tmp_path):
     q = poses(MODIFIED, 50)
     folder = write_arm(
@@ -178,6 +182,7 @@ def test_moments_of_gravity_for_any_direction():
     np.testing.assert_allclose(got[:, -3], local, atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_up_is_a_vector_or_an_axis(column):
     lying = load_study(column, {"machine.up": [0, 0, -2.0]})
     assert lying.chain.up == (0.0, 0.0, -1.0) and lying.chain.text.endswith("-Z up")
@@ -225,6 +230,7 @@ def test_wrong_link_rows(column, row, words):
     assert all(word in str(refused.value) for word in words), str(refused.value)
 
 
+@pytest.mark.thorough
 def test_a_station_and_reflectors_that_are_known(column):
     base = {
         "instrument.station_mm": [float(v) for v in 1e3 * STATION],
@@ -321,6 +327,7 @@ def twice(tmp_path_factory):
     return folder
 
 
+@pytest.mark.thorough
 def test_one_tool_in_two_data_sets(twice):
     study = load_study(twice)
     keys = [effect.key for effect in study.model.effects]

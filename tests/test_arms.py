@@ -59,8 +59,9 @@ def put_in(*effects, joint, poses=150, seed=5):
 
 @pytest.mark.parametrize(
     ("joint", "coefficient"),
-    [(0, 2e-5), *(pytest.param(j, 4e-4, marks=pytest.mark.slow) for j in (1, 2, 4))],
+    [(0, 2e-5), *(pytest.param(j, 4e-4, marks=pytest.mark.thorough) for j in (1, 2, 4))],
 )
+@pytest.mark.thorough
 def test_a_bearing_that_yields_has_its_name(joint, coefficient, tmp_path):
     effect = {"effect": "bearing_compliance", "joint": joint, "coefficient": coefficient}
     closure = closed(tmp_path / "arm", effect | {"centre": OFF_THE_FLANGE})
@@ -72,7 +73,7 @@ def test_a_bearing_that_yields_has_its_name(joint, coefficient, tmp_path):
     assert closure.errors["before"].chi2_per_dof > 1.2
 
 
-@pytest.mark.parametrize("joint", [5, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("joint", [5, pytest.param(3, marks=pytest.mark.thorough)])
 def test_a_tool_whose_mass_is_off_the_flange(joint, tmp_path):
     """The torque about the last axis is that of nothing else."""
     effect = {"effect": "joint_compliance", "joint": joint, "coefficient": 3e-4}
@@ -94,7 +95,7 @@ def test_a_tool_whose_mass_is_off_the_flange(joint, tmp_path):
     assert amounts["torsion_flange"] == pytest.approx((0.0, 0.0), abs=1e-6)
 
 
-@pytest.mark.parametrize("order", [200.0, pytest.param(7.3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("order", [200.0, pytest.param(7.3, marks=pytest.mark.thorough)])
 def test_the_gear_of_a_joint_has_its_name_and_pitch(order, tmp_path):
     effect = {"effect": "gear_ripple", "joint": 2, "amplitude_urad": 60, "phase": 1.0}
     closure = closed(tmp_path / "arm", effect | {"pitch_deg": 360.0 / order})
@@ -106,7 +107,7 @@ def test_the_gear_of_a_joint_has_its_name_and_pitch(order, tmp_path):
     assert abs(math.hypot(sine, cosine) - 60.0) <= 3.0 * max(us, uc)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_gear_that_yields_most_to_small_loads_has_its_name(tmp_path):
     """Beside the compliance of the same joint, of which the oracle's wind-up is a part."""
     effects = (
@@ -132,7 +133,7 @@ def test_a_gear_that_yields_most_to_small_loads_has_its_name(tmp_path):
     assert np.mean(((angle - expected) / u) ** 2) < 2.0
 
 
-@pytest.mark.parametrize("alone", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("alone", [True, pytest.param(False, marks=pytest.mark.thorough)])
 def test_the_soft_gear_of_a_wrist(alone, tmp_path):
     """Less its compliance, and with it."""
     effect = {"effect": "gear_wind_up", "joint": 4, "size_urad": 200, "knee_mm": 30}
@@ -190,6 +191,7 @@ def test_effects_of_time_by_pose_are_those_of_time(tmp_path):
                 np.testing.assert_allclose(values, per * np.asarray(theirs[key]), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_reflector_that_slipped_by_millimetres_hides_nothing(tmp_path):
     """250 standard deviations of what a jump is expected to be, with a joint that yields."""
     yields = {"effect": "joint_compliance", "joint": 1, "coefficient": 1.5e-4}

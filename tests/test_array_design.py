@@ -111,7 +111,7 @@ def by_readings(seen, model, covariance_of_balls, fresh):
     return np.eye(k) + J.T @ np.linalg.solve(V, J)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("fresh", [False, True])
 def test_elimination_against_the_readings_covariance(fresh):
     chain, errors = machine()
@@ -127,7 +127,7 @@ def test_elimination_against_the_readings_covariance(fresh):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.0, 0.0, 45.0), (30.0, -20.0, 70.0)])
 @pytest.mark.parametrize("touched", ["a line", "two of each"])
 def test_balls_on_a_line_leave_the_turn_about_it_open(turn, touched):
@@ -163,7 +163,7 @@ def test_balls_on_a_line_leave_the_turn_about_it_open(turn, touched):
     assert np.isfinite(jax.grad(summed)(turned.balls)).all()
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_distances_say_the_same_as_their_precision():
     """Distances of all pairs, measured and calibrated, in place of coordinates and poses."""
     chain, errors = machine()
@@ -243,6 +243,7 @@ def test_gradient_against_finite_differences(fresh, pairs):
     assert slope == pytest.approx(float(found), rel=1e-6)
 
 
+@pytest.mark.thorough
 def test_tools_by_touch():
     """A side stylus in every second touch is another lever; the same stylus everywhere none."""
     chain, errors = machine()

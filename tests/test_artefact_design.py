@@ -109,7 +109,7 @@ def test_the_first_set_is_the_strongest(given):
         assert found[0] == min(found)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("known", KNOWN)
 def test_trends(given, known):
     def rms(count, a, b):
@@ -124,7 +124,7 @@ def test_trends(given, known):
     assert (np.diff([rms(n, a, v) for v in OFFSETS]) < 0.0).all()
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_better_than_plain_least_squares(given, nominal):
     for known, limit in (("S", 0.15), ("P", 0.35), ("B", 0.15)):
         plain = plain_least_squares(given, nominal, known)
@@ -134,7 +134,7 @@ def test_better_than_plain_least_squares(given, nominal):
         assert plain[1].aligned_um > plain[0].aligned_um
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_plain_least_squares_by_drawing(given, nominal):
     """Machines, distances and noise drawn by numpy; lstsq of order one."""
     (found,) = plain_least_squares(given, nominal, "S", (1,))

@@ -129,6 +129,7 @@ def test_families_by_hand(given):
     assert waves[line] == pytest.approx(plain[line]) and abs(waves[wave] / plain[wave] - 1.0) > 0.1
 
 
+@pytest.mark.thorough
 def test_average_over_the_families():
     found = Robust("S", ("a", "b"), {}, {"nominal": (2.0, 4.0), "a": (1.0, 3.0)})
     assert found.average_um("nominal") == pytest.approx(10.0**0.5)

@@ -1175,7 +1175,7 @@ def test_an_effect_of_a_size_that_is_not_expected(small_tracker_study):
     assert "units and scale factors of the data" in note and "declare a prior of this" in note
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_widened_prior_is_not_what_is_expected(small_tracker_study):
     """The search widens the prior of what it names; the note compares with the catalogue."""
     study = load_study(small_tracker_study)

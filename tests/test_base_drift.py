@@ -144,6 +144,7 @@ def arm(tmp_path_factory):
     return Known("reflectors", tmp_path_factory.mktemp("arm"), noise_factor=1.0)
 
 
+@pytest.mark.thorough
 def test_what_is_left_open_is_noise_of_the_whole_pose(arm):
     """The covariance that is declared for it, against draws of motions of the points."""
     instrument, plan = arm.instrument, arm.plan

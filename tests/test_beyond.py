@@ -86,7 +86,7 @@ def test_a_smooth_family_follows_its_errors_to_a_few_parts_in_a_thousand(smoothn
 # --- what looks the same, or shows too little -----------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_frame_that_is_held_at_its_end():
     """It grows by all of k at the far end and by nothing at the near one, or the other way."""
     for held, sign in ((0.0, 0.5), (1.0, -0.5)):
@@ -99,7 +99,7 @@ def test_a_frame_that_is_held_at_its_end():
         assert found.errors["after"].chi2_per_dof < 1.3
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_frame_of_one_material():
     """It grows alike in all directions from one corner: one effect, not three."""
     case = make_case("laser_frame", "w X b Y Z t", 12)
@@ -119,6 +119,7 @@ def test_a_frame_of_one_material():
     assert found.errors["after"].chi2_per_dof < 1.3
 
 
+@pytest.mark.thorough
 def test_a_station_that_is_displaced_at_once_is_not_taken_for_the_tool():
     """Where nothing turns the two are the same to all readings, though not at the check points:
     predicted is the average of both, which errs by no more than the worse of them.
@@ -161,6 +162,7 @@ def test_what_the_readings_do_not_show_is_told_at_the_check_points():
     assert foretold == pytest.approx(expected, rel=0.03)
 
 
+@pytest.mark.thorough
 def test_a_description_takes_no_more_than_it_does():
     """Of chi-square beyond the declared noise, however large the noise that it leaves: of two dents
     it describes one.

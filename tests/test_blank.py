@@ -81,6 +81,7 @@ def pair(kind, folder, **options):
 
 
 @pytest.mark.parametrize("kind", PLANS)
+@pytest.mark.thorough
 def test_the_others_are_as_if_these_were_not_there(kind, tmp_path):
     blank, deleted, whole, rows = pair(kind, tmp_path)
     assert blank.plan.rows == whole.plan.rows - len(rows)
@@ -126,6 +127,7 @@ def arm(tmp_path_factory):
     return study, close_loop(study.model, study.measurement, **options), rows
 
 
+@pytest.mark.thorough
 def test_an_arm_came_from_where_it_was_not_seen(arm):
     """The direction in which a joint came says which way its backlash goes: without the pose before
     it is unknown.
@@ -156,6 +158,7 @@ def test_what_was_left_out_is_told(arm, capsys):
     assert "left out 20 rows (3, 7, 11, 15, 19, ...): a reading is blank" in shown
 
 
+@pytest.mark.thorough
 def test_of_one_data_set(tmp_path):
     cases = {
         name: make_case("laser_tracker", seed=3, plan=PLANS["laser_tracker"], noise_seed=k)
@@ -175,6 +178,7 @@ def test_of_one_data_set(tmp_path):
     assert fit.converged and fit.counted.sum() == 3 * (2 * n - 2)
 
 
+@pytest.mark.thorough
 def test_simulated_again(small_arm_study, tmp_path):
     """What was not read is not read in data that are made up for the same plan either."""
     rows = blanked(small_arm_study)
@@ -186,6 +190,7 @@ def test_simulated_again(small_arm_study, tmp_path):
         np.testing.assert_allclose(made.plan.values(name), study.plan.values(name), atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_a_ball_that_was_not_found_in_simulated_data(small_ball_study, tmp_path):
     blanked(small_ball_study, rows=(4, 9))
     study = load_study(small_ball_study)
@@ -222,6 +227,7 @@ REMEMBERS = """        steps = np.diff(table["z_mm"], prepend=0.0)
 
 
 @pytest.mark.parametrize("remembers", [True, False])
+@pytest.mark.thorough
 def test_an_instrument_of_ones_own(remembers, tmp_path):
     """Whether it gets these rows is for it to say."""
     plain = 'return linear_plan(chain, table, readings=("deviation_um",))'

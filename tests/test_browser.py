@@ -11,6 +11,8 @@ import vcal
 from browser import Browser, find
 from vcal import CATALOGUE, close_loop, load_study
 from vcal.demo import FOLDER
+from vcal.fleet.index import write_index
+from vcal.fleet.one_study import Job, Member
 from vcal.report import Section, Table, sheet, write_report
 from vcal.report.check.write import write_check
 from vcal.report.effects.write import write_effects
@@ -134,10 +136,31 @@ def pages(reported, tmp_path_factory) -> dict[str, Path]:
         "effects": write_effects(effects, examples, folder / "effects"),
         "effect": folder / "effects" / "thermal_tilt.html",
         "hostile": hostile,
+        "fleet": _fleet(folder),
     }
 
 
-@pytest.mark.parametrize("name", ["loop", "check", "effects", "effect", "hostile"])
+def _fleet(folder: Path) -> Path:
+    """The list of five studies, one of which is broken and has a hostile name."""
+    given = {"b 2": (4.0, 1.25), "a": (12.0, 11.0), "b 10": (0.5, 0.5), "c": (None, None)}
+    members = [
+        Member(
+            Job(folder / name, name, folder / name), "closed",
+            content={
+                "verdict": "named", "sentence": "", "effects": [],
+                "errors": {
+                    stage: {"check_rms_um": value, "u_check_rms_um": 0.1}
+                    for stage, value in (("uncompensated", before), ("after", after))
+                },
+            },
+        )
+        for name, (before, after) in given.items()
+    ]  # fmt: skip
+    members.append(Member(Job(folder, HOSTILE, folder), "refused", HOSTILE * 3))
+    return write_index(members, folder / "fleet")
+
+
+@pytest.mark.parametrize("name", ["loop", "check", "effects", "effect", "hostile", "fleet"])
 def test_pages_are_readable_at_every_width_and_in_print(browser, pages, name):
     browser.media(width=WIDTHS[0])
     browser.open(pages[name])
@@ -177,6 +200,26 @@ def test_print_shows_folded_tables_and_keeps_headings_with_what_follows(browser,
     )
     assert set(browser.run(kept)) == {"avoid"}
     assert browser.pdf().startswith(b"%PDF-")
+
+
+def test_a_click_on_the_head_of_a_column_sorts_the_rows(browser, pages):
+    browser.media(width=1200)
+    browser.open(pages["fleet"])
+    order = "[...document.querySelectorAll('.sortable tbody tr')].map(r => r.cells[0].textContent)"
+    head = "document.querySelectorAll('.sortable th')[{}]"
+    assert browser.run(order) == ["b 2", "a", "b 10", "c"]
+    for column, way, expected in (
+        (3, "ascending", ["b 10", "b 2", "a", "c"]),  # a dash comes after all numbers
+        (3, "descending", ["c", "a", "b 2", "b 10"]),
+        (0, "ascending", ["a", "b 2", "b 10", "c"]),
+    ):
+        browser.run(f"{head.format(column)}.click()")
+        assert browser.run(order) == expected
+        assert browser.run(f"{head.format(column)}.getAttribute('aria-sort')") == way
+    browser.run(f"{head.format(5)}.focus()")
+    browser.press("Enter")
+    assert browser.run(order) == ["b 10", "b 2", "a", "c"]
+    assert browser.troubles == []
 
 
 def test_the_scene_has_the_numbers_of_the_report(browser, reported):

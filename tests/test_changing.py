@@ -64,7 +64,7 @@ def peaks(spiked, placement="", **given) -> tuple[Fit, Effect]:
     return identify(model, spiked.measurement, shapes={place: {"decay": 6e-5}}), spike
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("given", [{}, {"given": (("size", 2.5, 1.0),)}], ids=["free", "declared"])
 def test_sizes_are_values_whatever_was_believed_before(spiked, given):
     """They were differences from what is declared."""

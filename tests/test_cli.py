@@ -89,6 +89,7 @@ def process(*arguments, cwd, **environment):
 # --- without computing ---------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_version_and_help(tmp_path):
     assert process("--version", cwd=tmp_path).stdout == f"vcal {vcal.__version__}\n"
     help_text = run("--help").output
@@ -97,6 +98,7 @@ def test_version_and_help(tmp_path):
         assert "--help" in run(command, "--help").output
 
 
+@pytest.mark.thorough
 def test_a_mistake_in_a_process_of_its_own(tmp_path):
     found = process("loop", "nowhere.toml", "--out", "out", cwd=tmp_path)
     assert found.returncode == 2
@@ -125,7 +127,7 @@ def test_a_folder_without_a_name(command, tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_pages_of_effects(tmp_path):
     done = run("effects", "reversal_spike", "--out", tmp_path / "one").output
     page = (tmp_path / "one" / "reversal_spike.html").read_text()
@@ -390,6 +392,7 @@ def test_check_with_overrides(small_arm_study):
 
 
 @pytest.mark.parametrize("instrument", starts())
+@pytest.mark.slow
 def test_init_writes_a_study_that_can_be_used(tmp_path, instrument):
     folder = tmp_path / "new" / "study"
     printed = run("init", folder, "--instrument", instrument).output
@@ -451,6 +454,7 @@ def test_every_key_is_explained():
 
 
 @pytest.mark.parametrize("instrument", starts())
+@pytest.mark.thorough
 def test_keys_that_are_commented_out_can_be_used(tmp_path, instrument):
     run("init", tmp_path / "study", "--instrument", instrument)
     setup = tmp_path / "study" / "setup.toml"
@@ -515,7 +519,7 @@ def test_simulate_makes_a_study_of_the_same_kind(tmp_path, small_tracker_study):
     assert 2e-6 < np.sqrt(np.mean(error**2)) < 200e-6
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_simulate_with_a_key_replaced(tmp_path, small_tracker_study):
     """The study beside the data is that which they were made with."""
     more = ("--set", "name=mine", "--set", "instrument.range_sigma_um=40")
@@ -891,6 +895,7 @@ def test_ctrl_c_while_modules_are_imported(tmp_path, argument):
     ("before", "after"),
     [("enable", "True False"), ("disable", "False False"), ("freeze", "True True")],
 )
+@pytest.mark.thorough
 def test_importing_leaves_the_collector_as_it_was(before, after):
     code = (
         f"import gc; gc.{before}(); import vcal; print(gc.isenabled(), gc.get_freeze_count() > 0)"
@@ -902,6 +907,7 @@ def test_importing_leaves_the_collector_as_it_was(before, after):
 @pytest.mark.parametrize(("argument", "given", "expected"), [
     (["-m", "vcal"], None, "1"), (["-m", "vcal"], "3", "3"), (["-c", "import vcal"], None, "None"),
 ])  # fmt: skip
+@pytest.mark.thorough
 def test_a_command_has_one_thread_for_linear_algebra_unless_it_is_told(
     tmp_path, argument, given, expected
 ):

@@ -281,6 +281,7 @@ def test_readings_in_another_unit_are_converted(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["r_test", "static_r_test"])
+@pytest.mark.thorough
 def test_readings_of_other_settings_make_no_plan(tmp_path, kind):
     probes = ["instrument.probes=[[0.8, 0.0, 0.6], [-0.4, 0.69, 0.6], [-0.4, -0.69, 0.6]]"]
     folder = start_with(tmp_path / kind, kind, {})

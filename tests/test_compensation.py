@@ -103,6 +103,7 @@ def test_error_motions_are_those_of_the_report(machine, fit):
             assert not table.value.any()
 
 
+@pytest.mark.thorough
 def test_what_the_readings_do_not_know_is_zero_and_named(machine, built):
     """The tool lies on the axis of Z in this machine: a roll of Z moves nothing."""
     assert "ECZ" in machine.unidentified
@@ -403,6 +404,7 @@ def test_expected_error_in_closed_form(machine):
     assert (errors**2).sum(2).mean() == pytest.approx(square.mean(), rel=0.02)
 
 
+@pytest.mark.slow
 def test_expected_error_is_the_realised_one(machine, fit):
     """Machines drawn from the prior, measured and identified by the normal equations in scipy: the
     mean of what is foretold is the mean of what is realised.

@@ -65,6 +65,7 @@ def rms_um(machine, tables, use):
 
 
 @pytest.mark.parametrize("name", OPTIONS)
+@pytest.mark.thorough
 def test_rotary_axes_are_refused(machine, name):
     chain = chain_from_string(
         "w C b X Y Z t", {"X": (0, 0.5), "Y": (0, 0.5), "Z": (0, 0.5)}, rotary_m={"C": (0, 0, 0)}
@@ -75,6 +76,7 @@ def test_rotary_axes_are_refused(machine, name):
 
 
 @pytest.mark.parametrize("name", OPTIONS)
+@pytest.mark.thorough
 def test_the_expected_error_becomes_smaller(machine, built, name):
     """After alignment: a format may shift the zero of the machine."""
     before, after = (

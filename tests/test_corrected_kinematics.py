@@ -122,6 +122,7 @@ def test_only_arms_have_a_table():
         kinematics(chain_from_string("w X b Y Z t"))
 
 
+@pytest.mark.slow
 def test_the_file_reproduces_the_readings_of_the_identified_arm(tmp_path):
     it = Known("reflectors", tmp_path, noise_factor=1.0)
     measurement = it.study.measurement

@@ -62,7 +62,7 @@ def with_text(folder, tmp_path, text):
     return made
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("folder", ["one_run", "two_runs"])
 def test_what_corrects_an_effect_is_declared_below_it(folder, request, tmp_path):
     folder = request.getfixturevalue(folder)
@@ -81,6 +81,7 @@ def test_what_corrects_an_effect_that_is_not_declared(one_run, tmp_path):
 
 
 @pytest.mark.parametrize("folder", ["one_run", "two_runs"])
+@pytest.mark.thorough
 def test_what_corrects_an_effect_is_looked_for_beside_it(folder, request, tmp_path):
     folder = request.getfixturevalue(folder)
     study = load_study(with_text(folder, tmp_path, named(MATRIX[0])))
@@ -137,6 +138,7 @@ def follow(row, told):
 
 
 @pytest.mark.parametrize("instrument", starts())
+@pytest.mark.slow
 def test_a_message_leads_to_one_effect(instrument):
     """Whatever an effect of the catalogue leaves open, its messages can be followed."""
     study = load_study(STARTS / instrument)
@@ -225,6 +227,7 @@ def test_an_array_is_no_key_of_a_row(small_tracker_study):
         load_study(small_tracker_study)
 
 
+@pytest.mark.thorough
 def test_the_bounds_of_joints_are_called_as_they_are(small_arm_study):
     path = small_arm_study / "setup.toml"
     text = path.read_text(encoding="utf-8")

@@ -215,6 +215,7 @@ def test_two_data_sets_have_their_own_stations(tmp_path):
 
 
 @pytest.mark.parametrize("kind", sorted(path.name for path in STARTS.iterdir() if path.is_dir()))
+@pytest.mark.thorough
 def test_every_instrument_has_its_marks(kind):
     study = load_study(STARTS / kind)
     (seen,) = of_study(study).seen
@@ -379,6 +380,7 @@ def test_refused_study_still_shows_its_machine(tmp_path):
     assert seen["rms_from_declared_mm"] > 50.0 and seen["station_by_readings_mm"] is None
 
 
+@pytest.mark.thorough
 def test_refused_study_file_has_no_page(tmp_path):
     folder, out = tracker(tmp_path / "study", (-900, 300, 500), chain="w X b Q t"), tmp_path / "out"
     done = CliRunner().invoke(app, ["check", str(folder), "--out", str(out)])

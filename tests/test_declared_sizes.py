@@ -109,7 +109,7 @@ def test_the_loop_reports_sizes_that_do_not_fit_and_names_nothing(tracker):
     assert "the search and the result use the sizes that fit" in found.notes[0]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_missing_effect_is_no_wrong_declaration(tracker):
     measurement = noisy(tracker, 1, tracker.effect("backlash:Y:size_um=60"))
     found = close_loop(tracker.model, measurement, effects=["backlash", "cross_axis"], draws=100)
@@ -137,6 +137,7 @@ def test_every_sign_unit_and_order_is_tried(arm):
         assert f"machine.joint.{i}.a_mm = {-a:.6g} instead of {a:.6g}" in tried
 
 
+@pytest.mark.thorough
 def test_only_the_change_that_is_wrong_makes_the_readings_follow(arm, monkeypatch):
     """A link declared in metres: of some changes, the one that undoes it, and no other."""
     machine = arm.settings.machine

@@ -51,6 +51,7 @@ def setup():
     return Model(chain, instrument, (errors, *instrument.effects(plan), noisy)), plan
 
 
+@pytest.mark.thorough
 def test_the_curvature_is_that_of_an_identification():
     model, plan = setup()
     batch = prepare_batch(model, plan)
@@ -61,6 +62,7 @@ def test_the_curvature_is_that_of_an_identification():
     )
 
 
+@pytest.mark.thorough
 def test_its_gradient_against_finite_differences():
     model, plan = setup()
     rng = np.random.default_rng(0)
@@ -102,6 +104,7 @@ def test_declared_shape_parameters_are_where_they_are_declared():
     assert prepare(grown, plan).fixed == {2: {"tau": 900.0}}
 
 
+@pytest.mark.thorough
 def test_squareness_and_slopes_against_lines_through_the_paths():
     """Angles between numpy's least-squares lines through the paths of the whole forward model."""
     chain = chain_from_string("w X Y b Z t", TRAVEL)

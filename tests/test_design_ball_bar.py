@@ -321,7 +321,7 @@ def test_the_plane_and_the_bar_that_show_a_squareness(tmp_path):
     assert np.ptp(np.asarray(done.best.position)[:, 0]) < 1e-12
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_design_is_no_worse_than_its_start(planned):
     _, task = task_of(planned, *FREE)
     done = optimise(task, seed=0, starts=1, steps=3)
@@ -331,7 +331,7 @@ def test_a_design_is_no_worse_than_its_start(planned):
 # --- the folder -----------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_folder_is_a_study(planned, tmp_path):
     small = ("design.grid=[4,3,3]", "design.starts=1", "design.steps=2")
     sets = [part for text in FREE[:2] for part in ("--set", text)]

@@ -57,6 +57,7 @@ def test_the_folder_is_a_study(designed, few_poses):
     assert np.diff(np.sort(balls_after[:, 0])).min() > 0.02 - 1e-9
 
 
+@pytest.mark.thorough
 def test_the_criterion_by_the_whole_covariance(designed):
     """The plan that was written, read again, all unknowns in one matrix."""
     out, _ = designed
@@ -94,7 +95,7 @@ def test_the_folder_can_be_judged_by_monte_carlo(designed, tmp_path):
         assert told[name] == pytest.approx(U, rel=0.15), name
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_worth_of_a_pose_is_that_of_a_plan_without_it(few_poses):
     _, task = task_of(few_poses)
     compiled = Compiled(task)
@@ -136,7 +137,7 @@ def dataclass_without(instrument, pose):
         pytest.param("few_poses", "largest", marks=pytest.mark.campaign),
         pytest.param("few_poses", "determinant", marks=pytest.mark.campaign),
         pytest.param("few_points", "volume", marks=pytest.mark.campaign),
-        pytest.param("few_points", "largest", marks=pytest.mark.slow),
+        pytest.param("few_points", "largest", marks=pytest.mark.thorough),
         pytest.param("few_points", "determinant", marks=pytest.mark.campaign),
     ],
 )
@@ -217,7 +218,7 @@ def test_the_determinant(few_poses, tmp_path):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_effects_of_the_artefact_and_of_conditions_count(few_poses, tmp_path):
     """Against the engine's own derivatives, which know nothing of poses by turn and place."""
     text = '\n[[model.effect]]\nname = "artefact_expansion"\nalpha_um_per_m_K_sigma = 5\n'
@@ -250,7 +251,7 @@ def test_effects_of_the_artefact_and_of_conditions_count(few_poses, tmp_path):
         np.testing.assert_allclose(plan.covariate(name), again.covariate(name), atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_several_families(few_poses, tmp_path):
     copy = declare(few_poses, tmp_path, "")
     text = (copy / "setup.toml").read_text(encoding="utf-8")
@@ -264,7 +265,7 @@ def test_several_families(few_poses, tmp_path):
     assert values[2] == pytest.approx(np.sqrt((values[0] ** 2 + values[1] ** 2) / 2), rel=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_touches_that_were_left_out(few_poses, tmp_path):
     """A ball that no pose but one touched: the plan keeps its gaps, and their information."""
     copy = declare(few_poses, tmp_path, "")
@@ -385,6 +386,7 @@ def test_mistakes(few_poses, tmp_path, name):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.thorough
 def test_mistakes_of_a_tracker(few_points, tmp_path):
     def message(*options):
         return design(few_points, tmp_path / "out", *options, code=2).stderr

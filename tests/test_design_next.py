@@ -210,6 +210,7 @@ def test_an_effect_that_cannot_be_differentiated(few_points, tmp_path, monkeypat
         assert "whose response leaves JAX" in message
 
 
+@pytest.mark.thorough
 def test_sizes_of_rivals(few_points):
     study, _ = task_of(few_points)
     wanted = parse_rivals(["backlash:Y:size_um=5", "range_scale:scale_um_per_m=2"], study)

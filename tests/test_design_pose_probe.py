@@ -43,7 +43,7 @@ def test_a_traced_orientation_is_that_of_numpy(few):
     np.testing.assert_allclose(traced(study.plan.position), expected, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("options", [(), (SHARED,)])
 def test_the_covariance_is_that_of_the_whole_model(few, options):
     """All unknowns at once, as an identification has them; with noise that readings share too."""

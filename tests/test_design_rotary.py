@@ -86,6 +86,7 @@ def test_where_the_tool_gets():
     np.testing.assert_allclose(high, [0.75, 0.5, 0.6], atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_a_station_in_the_way_is_refused(few_points, tmp_path):
     room = ("design.station=true", "design.station_low_mm=[-500,-500,-100]",
             "design.station_high_mm=[0,0,300]")  # fmt: skip

@@ -98,6 +98,7 @@ def test_the_plan_as_it_is_is_where_the_search_starts(tmp_path):
         ("w b X B Y Z t", "B"),
     ],
 )
+@pytest.mark.thorough
 def test_linear_axes_of_any_machine_follow_a_point(text, apart):
     at = {axis: (0.01, -0.02, 0.1 * i) for i, axis in enumerate("ABC") if axis in text}
     it = chain_from_string(text, None, (0.02, 0.01, -0.15), at)
@@ -111,6 +112,7 @@ def test_linear_axes_of_any_machine_follow_a_point(text, apart):
     np.testing.assert_array_equal(found[:, turning], q[:, turning])
 
 
+@pytest.mark.thorough
 def test_spheres_move_and_the_axes_with_them(turned):
     _, task = task_of(turned, *ROOM)
     space = task.space
@@ -163,6 +165,7 @@ def expected_covariance(position, run_, places, nest):
 
 
 @pytest.mark.parametrize("nest", ["spindle", pytest.param("table", marks=pytest.mark.campaign)])
+@pytest.mark.thorough
 def test_the_covariance_by_plain_numpy(tmp_path, nest):
     study, task = task_of(plan_of(tmp_path, few(2), nest), *ROOM)
     space = task.space
@@ -186,6 +189,7 @@ def test_the_covariance_by_plain_numpy(tmp_path, nest):
         pytest.param("determinant", marks=pytest.mark.campaign),
     ],
 )
+@pytest.mark.thorough
 def test_gradient_against_finite_differences(turned, goal):
     _, task = task_of(turned, f"design.goal={goal}", *ROOM)
     space, compiled = task.space, Compiled(task)
@@ -250,7 +254,7 @@ def test_the_folder_is_a_study(designed, turned):
     assert found["designed"]["measuring_seconds"] == pytest.approx(120.0 + 2.0 * way, rel=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_uncertainty_foretold_is_that_of_the_plan_written(designed):
     """By the GUM through the identification, which knows nothing of spaces."""
     out, _ = designed
@@ -342,6 +346,7 @@ def test_the_loop_on_data_of_the_designed_plan(designed, tmp_path):
         ),
     ],
 )
+@pytest.mark.thorough
 def test_what_cannot_be_designed_is_one_message(turned, tmp_path, options, said):
     sets = [part for text in options for part in ("--set", text)]
     message = design(turned, tmp_path / "out", *sets, code=2).stderr

@@ -253,7 +253,7 @@ def test_the_covariance_by_plain_numpy(turned):
             assert_close(np.asarray(found), expected)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_covariance_of_a_gauge_by_plain_numpy(gauge):
     _, task = task_of(gauge, "design.places=true", "design.directions=true")
     space, compiled = task.space, Compiled(task)
@@ -293,7 +293,7 @@ def test_the_covariance_of_a_gauge_by_plain_numpy(gauge):
 @pytest.mark.parametrize(
     "goal",
     [
-        pytest.param("determinant", marks=pytest.mark.slow),
+        pytest.param("determinant", marks=pytest.mark.thorough),
         pytest.param("volume", marks=pytest.mark.campaign),
     ],
 )
@@ -328,14 +328,14 @@ def test_where_a_turning_axis_is_by_settings_on_all_sides(tmp_path):
     assert done.before.criterion > 1.3 * done.after.criterion
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_design_is_no_worse_than_its_start(turned):
     _, task = task_of(turned, *ROOM)
     done = optimise(task, seed=0, starts=1, steps=4)
     assert done.after.criterion < 0.97 * done.before.criterion and all(done.fits)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_folder_is_a_study(turned, tmp_path):
     sets = ("--set", "design.seconds_per_setup=300", "--set", "design.seconds_per_contact=4")
     small = ("design.grid=[4,3,3]", "design.starts=1", "design.steps=3")

@@ -398,6 +398,7 @@ def test_rank_deficient_matrices_work():
 
 
 @pytest.mark.parametrize("r", [-0.97, -0.4, 0.6, 0.99])
+@pytest.mark.thorough
 def test_copula_covariance_against_closed_forms(r):
     def covariance(one, other):
         return float(GaussianCopula([one, other], [[1.0, r], [r, 1.0]]).covariance[0, 1])
@@ -446,6 +447,7 @@ def test_copula_covariance_against_a_double_integral(one, other, r):
     assert abs(found) < abs(r) * float(one.std * other.std)
 
 
+@pytest.mark.thorough
 def test_copula_covariance_of_a_t_quantity():
     """E[Z1 g(Z2)] = r E[Z g(Z)], here with scipy's quantile of t."""
 
@@ -458,6 +460,7 @@ def test_copula_covariance_of_a_t_quantity():
 
 
 @pytest.mark.parametrize("margin", [StudentT(0.0, 1.0, 2.5), Triangular(0, 1), Arcsine(0, 3)])
+@pytest.mark.thorough
 def test_copula_of_the_same_quantity_twice_is_its_variance(margin):
     twice = GaussianCopula([margin, margin], [[1.0, 1.0], [1.0, 1.0]])
     np.testing.assert_allclose(twice.covariance[0, 1], twice.covariance[0, 0], rtol=1e-6)

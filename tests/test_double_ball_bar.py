@@ -320,6 +320,7 @@ def cylinder(points=24):
     return columns | {name: np.full(points, value) for name, value in ball.items()}
 
 
+@pytest.mark.thorough
 def test_a_cylinder_of_a_rotary_axis(tmp_path):
     columns = cylinder()
     folder = write(tmp_path / "turning", columns, chain="w C b X Y Z t", more=TURNING)
@@ -413,7 +414,7 @@ FOUND = {
 }  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("key", FOUND)
 def test_what_is_missing_is_named(tmp_path, key):
     study = case(tmp_path, [FOUND[key]])
@@ -422,7 +423,7 @@ def test_what_is_missing_is_named(tmp_path, key):
     assert [e.effect.key for e in closure.effects] == [key]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_nothing_is_missing_from_a_clean_case(tmp_path):
     study = case(tmp_path, seed=2)
     closure = vcal.close_loop(study.model, study.measurement, check=study.check, draws=100)
@@ -453,7 +454,7 @@ def test_circular_tests_of_a_fit(tmp_path):
             assert test.machine.hysteresis < 1e-9 < 1e-7 < test.measured.hysteresis
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_report(tmp_path):
     case(tmp_path / "study", [FOUND["backlash X"]])
     run("loop", tmp_path / "study", "--out", tmp_path / "report", "--set", "loop.draws=100")

@@ -165,7 +165,7 @@ def test_an_ambiguous_effect_is_in_the_uncertainty_of_the_error_after(tmp_path):
     assert after.u > 1.2 * alone.u
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_what_is_unexplained_is_in_the_uncertainty_of_the_error_after(tmp_path):
     """The declared parameters have taken a part of a kink in roll: how far that leads off, a
     description of it tells.

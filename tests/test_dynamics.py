@@ -63,6 +63,7 @@ def screw_slide(mass=300.0, motor=120.0, screw=1.5e8, loss=2e-4):
 
 
 @pytest.mark.parametrize("h, lever", [(0.2, -0.42), (-0.1, 0.3), (0.0, 0.5)])
+@pytest.mark.thorough
 def test_crosstalk_of_one_slide(h, lever):
     """E = -m h L / k_phi across, with k_phi = sum of k r^2, and no in-talk at the scale."""
     found = np.asarray(compliance(assemble(one_slide(h=h, lever=lever))))
@@ -146,6 +147,7 @@ def loop_of(machine, T=1e-3, delay=0.0, Kv=40.0, w=120.0, Tn=0.05, f=0.0):
     return s, c, controlled(s, c)
 
 
+@pytest.mark.thorough
 def test_energy_is_kept_without_damping_and_control():
     s, _, loop = loop_of(screw_slide(loss=0.0), w=1e-30)
     state = np.zeros(loop.transition.shape[0])
@@ -163,6 +165,7 @@ def test_energy_is_kept_without_damping_and_control():
 
 
 @pytest.mark.parametrize("Tn", [0.05, 1e9])
+@pytest.mark.thorough
 def test_step_of_a_rigid_mass(Tn):
     """PPI on a rigid mass, by a matrix of three states written down by hand."""
     T, Kv, w, m = 1e-3, 40.0, 120.0, 600.0
@@ -247,7 +250,7 @@ def test_circles_settle():
 
 
 @pytest.mark.parametrize(
-    "delay", [0.3e-3, *(pytest.param(d, marks=pytest.mark.slow) for d in (0.0, 1.0e-3, 1.6e-3))]
+    "delay", [0.3e-3, *(pytest.param(d, marks=pytest.mark.thorough) for d in (0.0, 1.0e-3, 1.6e-3))]
 )
 def test_sampled_frequency_response(delay):
     """The sum over the harmonics of the sampling is the steady state of the exact matrices."""
@@ -265,6 +268,7 @@ def test_sampled_frequency_response(delay):
                 np.testing.assert_allclose(a, b, atol=digits * np.abs(b).max())
 
 
+@pytest.mark.thorough
 def test_derivative_of_the_sampled_frequency_response():
     def read(p):
         given = screw_slide(mass=300.0 * p[0], loss=3e-4 * p[1])
@@ -295,7 +299,7 @@ def test_slow_circles_bend_as_the_compliance_says():
     np.testing.assert_allclose(E, np.asarray(compliance(s))[:, 0], rtol=2e-3, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_gradient_through_a_circle():
     """Stiffness, mass, place of the drive, gain and delay, through one full turn in time."""
     t = 1e-3 * np.arange(140)

@@ -90,8 +90,9 @@ CASES = {
 
 @pytest.mark.parametrize(
     "case",
-    [pytest.param(c, marks=pytest.mark.slow if c in ("kink", "since") else ()) for c in CASES],
+    [pytest.param(c, marks=pytest.mark.thorough if c in ("kink", "since") else ()) for c in CASES],
 )
+@pytest.mark.thorough
 def test_what_no_effect_has_is_described(tracker, tmp_path, case):
     """The description tells on what it depends; the file for an effect of one's own holds it."""
     formula, port, unit_, size, cls, on = CASES[case]
@@ -125,6 +126,7 @@ def test_what_no_effect_has_is_described(tracker, tmp_path, case):
     "effect",
     ["cross_axis:X:other=Y,EZX_x_y_um=12", "thermal_tilt:X:k_ECX_urad_per_K=90"],
 )
+@pytest.mark.thorough
 def test_a_physical_effect_that_fits_as_well_has_the_name(tracker, effect):
     """A product of two quantities would do, and with fewer parameters."""
     closure = close_loop(tracker.model, measured(tracker, tracker.effect(effect)), draws=200)
@@ -139,6 +141,7 @@ def test_a_physical_effect_that_fits_as_well_has_the_name(tracker, effect):
     assert closure.unexplained is None
 
 
+@pytest.mark.thorough
 def test_a_name_is_not_certain_beside_more_that_is_unexplained(tracker):
     """A play, and far more that depends on the direction, too, but is none on average."""
     swinging = Given(formula=swinging_play, port="EXX", unit="um", given=(("size", 12.0, 0.0),))
@@ -158,6 +161,7 @@ def test_a_name_is_not_certain_beside_more_that_is_unexplained(tracker):
 
 
 @pytest.mark.parametrize("unit_", ["deg", "rad"])
+@pytest.mark.thorough
 def test_what_comes_round_with_an_angle_that_was_recorded(tracker, unit_):
     """The orientation of a spindle that does not turn true: no proportion, and of order one."""
     rng = np.random.default_rng(4)
@@ -255,7 +259,7 @@ def test_the_mixture_of_a_fit_is_that_of_fits_with_other_priors(tracker):
 
 
 @pytest.mark.parametrize("size", [8.0, 25.0])
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_evidence_of_a_time_constant_at_the_end_of_its_scan(tracker, size):
     """A drift, taken for a warming-up: against the mean over all time constants, each as known."""
     true = tracker.effect(f"drift:Y:rate_EZY_um_per_h={size * 10}")

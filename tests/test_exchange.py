@@ -165,6 +165,7 @@ def test_joint_matrices_of_poses(given, kind):
 
 
 @pytest.mark.parametrize("kind", ["S", "P"])
+@pytest.mark.thorough
 def test_three_poses_of_nine(given, kind):
     model, seen, gram, balls = given
     joint = pose_information(seen, model, PROBE, precision_of(kind, balls), fresh=kind == "P")

@@ -177,6 +177,7 @@ def oracle(layout):
     return largest(Asked.usual().names, 2.0 * np.sqrt(np.einsum("qk,kl,ql->q", D, C, D)), LEVER)
 
 
+@pytest.mark.thorough
 def test_least_squares_against_numpy():
     layout = Layout.named("3d")
     found, _ = search._U(layout)
@@ -215,7 +216,7 @@ def test_cycles_give_the_closed_form(planar, three):
 # --- influences ---
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_influences_as_effects_have_the_sizes_of_the_budget():
     """Standard deviation of single readings, influence by influence, over many runs."""
     import jax
@@ -277,7 +278,7 @@ def test_paths_turn_at_every_corner():
         assert one.end == other.start
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_bound_of_a_path_is_below_what_gradient_reaches():
     edges = search._Edges()
     start = Layout.named("3d")

@@ -25,6 +25,7 @@ from vcal.reproduce.laser_frame.setting import (
         ("3d", 0.0262, 37, (), ()),
     ],
 )
+@pytest.mark.thorough
 def test_rank_and_what_is_behind_it(path, lever, rank, mixed, invisible):
     found = seen(path, lever)
     assert (found.columns, found.rank) == (37, rank)

@@ -59,7 +59,7 @@ def circle(n, omega=40.0, T=1e-3, r=2e-3):
     return r * np.sin(omega * t)[:, None], r * omega * np.cos(omega * t)[:, None]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_without_any_force_it_is_the_exact_machine():
     weak = dataclasses.replace(RUB, coulomb=1e-12, stiction=1e-12, viscous=0.0)
     machine = slide(weak)
@@ -73,8 +73,9 @@ def test_without_any_force_it_is_the_exact_machine():
 
 
 @pytest.mark.parametrize(
-    "delay", [0.3e-3, *(pytest.param(d, marks=pytest.mark.slow) for d in (0.0, 1.4e-3))]
+    "delay", [0.3e-3, *(pytest.param(d, marks=pytest.mark.thorough) for d in (0.0, 1.4e-3))]
 )
+@pytest.mark.thorough
 def test_against_an_independent_integrator(delay):
     """Radau of scipy on equations written down here, controller by hand."""
     T = 1e-3
@@ -130,7 +131,7 @@ def test_sliding_and_sticking():
     assert float(force[0]) == pytest.approx(30.0)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_quadrant_peaks():
     """After a reversal the axis sticks until its drive has built up the force the other way."""
     n, T, omega = 700, 0.5e-3, 10.0
@@ -150,6 +151,7 @@ def test_quadrant_peaks():
     assert np.sign(extra[reversal - 20]) != np.sign(extra[reversal + 100])
 
 
+@pytest.mark.thorough
 def test_description(tmp_path):
     path = tmp_path / "machine.toml"
     text = DESCRIPTION.read_text(encoding="utf-8").replace("[tool_point]", AREA + "\n[tool_point]")

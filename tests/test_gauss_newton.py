@@ -138,6 +138,7 @@ def known(tmp_path_factory) -> dict[str, Known]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.thorough
 def test_slopes_by_differences_are_the_derivatives(known, kind):
     """Of every kind of candidate with a shape that moves, at a place between the steps of its scan,
     some of them kinks.

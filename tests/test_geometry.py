@@ -120,7 +120,7 @@ def test_doubts_are_part_of_the_uncertainty(known):
         assert more.u >= one.u
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_plan_foretells_the_uncertainty_of_squareness(known):
     """The GUM before measuring against the posterior of a fit of readings of the same plan."""
     it, fit = known

@@ -46,6 +46,7 @@ def last_differ(tmp_path_factory):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_default_that_cannot_be_predicted_is_replaced(last_differ):
     study = load_study(last_differ)
     chosen = study.measurement.holdout
@@ -77,6 +78,7 @@ def test_a_hold_out_of_the_user_is_followed_and_its_fault_is_said(last_differ):
     assert folds_of(study.model, study.measurement)[1].sum() == 5
 
 
+@pytest.mark.thorough
 def test_the_choice_of_the_instrument_stays_where_it_is_predicted(tmp_path):
     study = load_study(write_arm(tmp_path / "s", ARM, turned(80, 0)))
     assert study.measurement.holdout is None
@@ -124,6 +126,7 @@ def test_wrong_hold_outs(last_differ, keys, words):
     assert all(word in str(refused.value) for word in words), str(refused.value)
 
 
+@pytest.mark.thorough
 def test_rows_that_are_fitted_must_determine_what_has_no_prior(tmp_path):
     """All poses but the held-out ones are one pose."""
     q = turned(30, 0)

@@ -252,7 +252,7 @@ def test_correlated_noise_gets_no_name(tracker):
 @pytest.mark.parametrize(
     ("seed", "phi"),
     [
-        pytest.param(3, 0.9, marks=pytest.mark.slow),
+        pytest.param(3, 0.9, marks=pytest.mark.thorough),
         pytest.param(5, 0.98, marks=pytest.mark.campaign),
     ],
 )
@@ -418,9 +418,9 @@ def test_readings_without_any_noise(tracker):
     assert any("scatter at most 0.01 times" in note for note in closure.notes)
 
 
-@pytest.mark.parametrize("size", [0.0, pytest.param(20.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("size", [0.0, pytest.param(20.0, marks=pytest.mark.thorough)])
 @pytest.mark.parametrize(
-    "instrument", ["ball_array", pytest.param("laser_tracker", marks=pytest.mark.slow)]
+    "instrument", ["ball_array", pytest.param("laser_tracker", marks=pytest.mark.thorough)]
 )
 def test_readings_of_another_simulation_without_any_noise(instrument, size, tmp_path):
     """Nothing is told by how it rounds, and by what the prior holds back."""
@@ -588,6 +588,7 @@ def test_a_description_that_cannot_be_fitted_leaves_something_unexplained(tracke
     assert closure.unexplained.depends_on[0] == "X"
 
 
+@pytest.mark.thorough
 def test_what_a_far_likelier_effect_contradicts_is_no_name(tracker, monkeypatch):
     """Held-out readings that refuse the likeliest effect, but not the next, tell of a third."""
     measurement = with_noise(tracker, white(tracker, 22), tracker.effect("backlash:Y:size_um=12"))
@@ -605,7 +606,7 @@ def test_what_a_far_likelier_effect_contradicts_is_no_name(tracker, monkeypatch)
     assert closure.rejected[0].effect == "backlash"
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", [1, 2])
 def test_noise_alone_depends_on_nothing_however_large_it_is(seed):
     """Five times the declared noise: the best of all columns describes one per cent, by chance. The

@@ -40,6 +40,7 @@ def noisy(it: Known, seed: int, readings=None, factor: float = 1.0) -> Measureme
 
 
 @pytest.mark.parametrize("kind", ["tracker", "balls"])
+@pytest.mark.thorough
 def test_noise_free_data_give_the_truth_but_for_the_prior(kind, request):
     """theta - true = -H^-1 L true: what the prior pulls; nothing where it is weak."""
     it = request.getfixturevalue(kind)
@@ -92,6 +93,7 @@ def test_estimate_against_scipy(tracker):
 
 @pytest.mark.parametrize("kind", ["laser_tracker", "ball_array"])
 @pytest.mark.parametrize("seed", [21, 22])
+@pytest.mark.thorough
 def test_check_error_is_at_the_bound(kind, seed, tmp_path):
     """The LMMSE of the oracle, on data as they come from files."""
     case = make_case(kind, seed=seed, plan=PLANS[kind])
@@ -126,7 +128,7 @@ def test_uncertainties_cover_the_truth(tracker):
     assert np.mean(chi2) == pytest.approx(1.0, abs=4 * np.sqrt(2 / first.dof / 60))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_arm_uncertainties_allow_for_what_rows_share(tmp_path):
     """What moves all reflectors of a pose together, and is not declared."""
     it = Known("reflectors", tmp_path, noise_factor=1.0)

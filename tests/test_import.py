@@ -328,6 +328,7 @@ def test_commanded_and_read_back_joints(tmp_path):
     assert np.array_equal(table(out)["q3_read_deg"], degrees[:, 2] + 1e-3)
 
 
+@pytest.mark.thorough
 def test_a_urdf_file_is_the_machine_of_a_table(tmp_path):
     rng = np.random.default_rng(3)
     q = rng.uniform([-1, -2, -2, -2], [2, 2, 2, 2], (40, 4))
@@ -428,6 +429,7 @@ def test_probe_logs_become_centres_of_balls(kind, unit, tmp_path):
         assert load_study(out).measurement.rows == 12
 
 
+@pytest.mark.thorough
 def test_every_contact_with_a_sphere_counts(tmp_path):
     """Without a table of balls, the contacts themselves are the readings."""
     rng = np.random.default_rng(8)

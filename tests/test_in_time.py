@@ -26,7 +26,7 @@ def test_data_set_by_data_set():
     assert both.in_time(np.arange(5)).tolist() == [1, 2, 0, 3, 4]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_last_readings_are_the_last_in_time(study):
     """Three that stay displaced to the end are a jump, and not stray, wherever they stand."""
     given = study.measurement.plan

@@ -76,6 +76,7 @@ def _table():
 
 
 @pytest.mark.parametrize("chain", CHAINS)
+@pytest.mark.thorough
 def test_readings_agree_with_the_oracle(chain, tmp_path):
     """Errors of the machine alone: all set-ups are perfect."""
     case, study = study_of(tmp_path, chain=chain, seed=5, noise_factor=0.0, **QUIET.__dict__ | {
@@ -169,7 +170,7 @@ def test_compensation_leaves_little_at_check_points(tmp_path):
     assert errors["after"].check.value < 0.1 * errors["uncompensated"].check.value
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("effect", "key"),
     [
@@ -242,6 +243,7 @@ def test_slope_is_free_or_known_or_none():
         (["position"], "table", 9, {"EYX", "EZX", "EAX", "EC0Y", "ECZ"}),
     ],
 )
+@pytest.mark.thorough
 def test_rank_says_which_errors_lines_do_not_show(reads, alignment, rank, unseen, tmp_path):
     text = (STARTS / "interferometer" / "setup.toml").read_text(encoding="utf-8")
     if alignment is None:
@@ -293,6 +295,7 @@ def test_directions_follow_from_the_order_of_rows(tmp_path):
         )
 
 
+@pytest.mark.thorough
 def test_lines_have_readings_of_their_own(tmp_path):
     def change(table):
         other = dict(table)
@@ -446,6 +449,7 @@ def _true_means(case, axis, rows, targets):
     ])  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_report_states_iso_230_2(tmp_path):
     out = tmp_path / "report"
     done = CliRunner().invoke(

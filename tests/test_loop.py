@@ -188,7 +188,7 @@ def test_what_the_data_cannot_tell_apart_is_said_in_one_sentence(backlash):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_same_seed_same_result(backlash):
     one, two, other = (closed(backlash, seed=seed) for seed in (5, 5, 6))
     assert plain(one) == plain(two)
@@ -200,6 +200,7 @@ def test_same_seed_same_result(backlash):
 @pytest.mark.parametrize(
     ("stage", "effects"), [*zip(STAGES, (0, 0, 0, 1), strict=True), ("round 2: screening", 1)]
 )
+@pytest.mark.thorough
 def test_interruption_keeps_what_is_known(stage, effects, backlash):
     def progress(text):
         if stage in text:
@@ -217,6 +218,7 @@ def test_interruption_keeps_what_is_known(stage, effects, backlash):
     assert closure.sentence.startswith("Interrupted")
 
 
+@pytest.mark.thorough
 def test_interruption_after_the_search_loses_nothing(backlash):
     def progress(text):
         if "comparing" in text:
@@ -351,7 +353,7 @@ def test_a_rotation_that_follows_a_column_is_told_as_one(tmp_path):
     assert "a quantity by the rotation EBX (coolant_bar)" in closure.sentence
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_what_follows_a_column_that_no_effect_knows(lifted):
     """It is no product of that column with another, and no effect of time or of a temperature."""
     study = load_study(lifted)

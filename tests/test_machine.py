@@ -66,6 +66,7 @@ def truth():
 # --- the description -----------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_what_the_description_says(catalogue):
     machine, controller, _ = catalogue
     s = assemble(machine)
@@ -234,6 +235,7 @@ def test_a_machine_that_is_too_stiff_to_be_sampled(tmp_path):
     ("motors", "sample_time", "few"),
     [(1.0, 0.25e-3, True), (0.1, 1e-3, False), (0.03, 1e-3, False)],
 )
+@pytest.mark.thorough
 def test_harmonics_that_an_answer_needs(catalogue, motors, sample_time, few):
     """Against the exact steady state: enough for seven digits of the error, wherever modes lie."""
     machine, _, _ = catalogue
@@ -266,7 +268,7 @@ def test_positioning(catalogue):
     assert found.fitted == pytest.approx(-0.55, rel=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_matrix_holds_for_other_movements(truth):
     """As long as they do not excite the modes."""
     machine, _, loop = truth
@@ -304,13 +306,14 @@ def seen_by(loop, seed, *, noise=1.0, matrix_u=MATRIX_U):
     )  # fmt: skip
 
 
+@pytest.mark.thorough
 def test_the_machine_that_is_measured(truth):
     """Softer than the catalogue by a factor of two to three, so that EXZ is -1.55."""
     assert 1e6 * float(compliance(assemble(truth[0]))[0, 2]) == pytest.approx(MEASURED, abs=1e-6)
     assert all(1 / 3 < f < 1 / 2 for f in carriage_factors().values())
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_residual_and_gradient_against_finite_differences(catalogue):
     machine, controller, loop = catalogue
     seen = seen_by(loop, 0)
@@ -379,7 +382,7 @@ def test_the_delay_that_is_told_is_the_one_applied(catalogue):
         assert 0.0 <= told < 2.0 * controller.sample_time
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_errors_of_the_probes_are_eliminated(catalogue, truth):
     """The cost is that of the best matrix S, found here by plain least squares."""
     machine, controller, _ = catalogue
@@ -434,6 +437,7 @@ def test_noise_of_scales_that_is_in_the_error_too(catalogue):
     assert np.abs(correlation).max() < 5.0 / np.sqrt(draws)
 
 
+@pytest.mark.thorough
 def test_a_machine_of_which_everything_is_known(catalogue):
     """Without unknowns chi2 is that of the catalogue: the scales are off by (1 + 2i) u, the probes,
     which show the error with them, by (3 - i) u.
@@ -481,6 +485,7 @@ def test_noise_that_no_test_has(noise, message):
         Noise(*noise)
 
 
+@pytest.mark.thorough
 def test_campaign_without_circles(catalogue):
     machine, controller, _ = catalogue
     with pytest.raises(ValueError, match="circles: found none, expected at least one"):
@@ -519,7 +524,7 @@ def test_many_machines(catalogue):
     assert np.median(done.u, axis=0).min() < 0.01
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_from_the_catalogue_to_the_measured_machine(catalogue, truth):
     """Stiffness wrong by two to three: EXZ within its U, and a move that was never seen."""
     machine, controller, loop = catalogue
@@ -555,7 +560,7 @@ def test_from_the_catalogue_to_the_measured_machine(catalogue, truth):
     assert len(little.not_told()) > len(found.not_told())
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_from_a_data_file_to_the_machine(catalogue, truth):
     """The same through the R-test's own columns, and the matrix without any machine."""
     machine, controller, _ = catalogue

@@ -27,7 +27,7 @@ def cyclic(axis: str, amplitude: float) -> dict:
     return {"effect": "screw_cyclic", "axis": axis, "amplitude_um": amplitude, "pitch": 0.02}
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(("seed", "amplitude"), [(1, 50.0), (2, 200.0)])
 def test_a_large_cyclic_error_has_its_own_pitch(seed, amplitude, tmp_path):
     """Not an alias, of which less of the size has to be forgiven."""
@@ -52,6 +52,7 @@ class Short(CATALOGUE["screw_cyclic"]):
         return {"pitch": 1.0 / (1.0 / 0.02 + np.array([0.15, 0.4, 0.65]) / travel)}
 
 
+@pytest.mark.thorough
 def test_a_pitch_at_the_end_of_what_is_looked_for_is_not_certain(tmp_path):
     closure = closed(tmp_path, 1, cyclic("Y", 8.0), effects=[Short], draws=200)
     (found, *_) = closure.effects
@@ -77,7 +78,7 @@ def test_seven_effects_of_one_machine_are_all_named(tmp_path):
     assert after.value < 0.05 * before.value
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_two_effects_that_hide_each_other_are_both_named(tmp_path):
     """Alone a warming-up of the machine describes more of them than either does."""
     head = {"effect": "head_expansion", "um_per_K": 1.4}
@@ -90,6 +91,7 @@ def test_two_effects_that_hide_each_other_are_both_named(tmp_path):
 
 
 @pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.campaign)])
+@pytest.mark.thorough
 def test_three_effects_that_hide_each_other_are_all_found(seed, tmp_path):
     """No two of them leave little enough to be told from noise."""
     head = {"effect": "head_expansion", "um_per_K": 1.4}

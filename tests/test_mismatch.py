@@ -64,7 +64,7 @@ def test_machine_by_machine(given, small):
         np.testing.assert_allclose(linear[:, i], drawn.errors("after", kind), rtol=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_parts_add_up(given, small):
     truth, fit, plan = models(given, small, "B", tuple(SIZES), False)
     left = expected_error(truth, fit, plan, volumetric_gram(truth, judged_at(given)))
@@ -74,7 +74,7 @@ def test_the_parts_add_up(given, small):
     assert left.rms[0] < left.rms[1]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_priors_have_to_agree(given, small):
     model, plan = measured_by(given, small, "S")
     (errors, *rest) = model.effects
@@ -84,7 +84,7 @@ def test_priors_have_to_agree(given, small):
         expected_error(truth, model, plan, volumetric_gram(truth, judged_at(given)))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_what_only_the_fit_has_is_refused(given, small):
     """It is found to be something, and compensated."""
     more, less, plan = models(given, small, "B", ("ram sags",), False)
@@ -92,6 +92,7 @@ def test_what_only_the_fit_has_is_refused(given, small):
         expected_error(less, more, plan, volumetric_gram(less, judged_at(given)))
 
 
+@pytest.mark.thorough
 def test_gram_of_some_effects(given):
     points = judged_at(given)
     whole = given.model.with_effects(*effects("ram sags"))
@@ -124,7 +125,7 @@ def test_shared_programs_change_nothing(given, small):
     assert fresh.count == kept
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_star_keeps_to_the_travel(given):
     poses = placed(outer_faces(), ball_line(11, 0.03, 0.03))
     star = with_star(poses)

@@ -23,6 +23,7 @@ def known(tmp_path_factory) -> dict[str, Known]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.slow
 def test_port_jacobian_against_central_differences(kind, known):
     it = known[kind]
     rng = np.random.default_rng(1)
@@ -39,6 +40,7 @@ def test_port_jacobian_against_central_differences(kind, known):
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.thorough
 def test_predict_compiled_and_mapped_equals_the_plain_loop(kind, known):
     it = known[kind]
     rng = np.random.default_rng(2)

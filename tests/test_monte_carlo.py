@@ -252,6 +252,7 @@ def test_inputs_without_a_standard_deviation_are_told():
     assert propagate_distributions(lambda v: v["x"], three, draws=100).notes == ()
 
 
+@pytest.mark.slow
 def test_9_5_gauge_block():
     inputs = Inputs(
         {
@@ -491,7 +492,7 @@ print(hashlib.sha256(b"".join(number.tobytes() for number in numbers)).hexdigest
 """
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_results_do_not_depend_on_the_number_of_devices():
     flags = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=2"
     found = subprocess.run(
@@ -517,6 +518,7 @@ def test_inputs_that_are_not_there_are_refused(verb):
         verb(lambda x: x["lenght"] * x["width"], Inputs(inputs))
 
 
+@pytest.mark.thorough
 def test_a_function_that_is_not_written_in_jax_is_refused():
     with pytest.raises(ValueError, match="not written in JAX"):
         small(function=lambda v: math.sin(v["x"]))

@@ -255,7 +255,7 @@ def test_readings_that_go_astray(kind):
 CLEAN = [
     ("laser_frame", {"family": FRAME_SMOOTH, "chain": "w X b Y Z t"}),
     pytest.param(
-        "laser_frame", {"table": FRAME_TABLE, "chain": "w b X Y Z t"}, marks=pytest.mark.slow
+        "laser_frame", {"table": FRAME_TABLE, "chain": "w b X Y Z t"}, marks=pytest.mark.thorough
     ),
     ("r_test", {"plan": {"samples": 40, "levels": (1.0, 4.5)}}),
 ]

@@ -151,6 +151,7 @@ DENT = {"effect": "dent", "axis": "X", "component": "Z", "at": 1.234, "sigma": 0
         ),
     ],
 )
+@pytest.mark.slow
 def test_published_bounds_are_reproduced(name, unknown, true_um, before_um, after_um):
     """The practice page prints the LMMSE of each case: one wrong sign or lever misses it."""
     got = lmmse(read_study(PRACTICE / name), unknown)
@@ -165,6 +166,7 @@ def test_published_bounds_are_reproduced(name, unknown, true_um, before_um, afte
 
 
 @pytest.mark.parametrize("kind", ["laser_tracker", "ball_array"])
+@pytest.mark.thorough
 def test_bound_on_own_cases(kind):
     case = make_case(kind, seed=11, effects=EFFECTS[:1])
     got = lmmse(as_study(case), [({"effect": "backlash", "axis": "X"}, "size", 2e-5)])

@@ -90,11 +90,12 @@ def loose(study, tmp_path_factory):
     return folder
 
 
+@pytest.mark.thorough
 def test_its_one_reading_is_counted_as_one(loose):
     assert "216 rows of 1 reading\n" in re.sub(" +\n", "\n", run_trusted("check", loose).output)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_backlash_in_circles(loose):
     assert (loose / "disc_probe.py").read_text(encoding="utf-8") == DISC
     study = load_study(loose)
@@ -176,7 +177,7 @@ def clustered(folder, indices, columns):
     return write_disc(folder, columns, DISC.replace("    def folds(", method))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("noise", [0.0, 1.0])
 @pytest.mark.parametrize("indices", CLUSTERS)
 def test_the_noise_of_clusters_is_told_by_enough_rows(tmp_path, indices, noise):
@@ -209,7 +210,7 @@ def test_rows_of_a_cluster_have_the_same_readings():
 # --- commands -------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_commands(small, tmp_path):
     (small / "code").mkdir()
     shutil.move(small / "disc_probe.py", small / "code" / "disc.py")
@@ -233,6 +234,7 @@ def test_uncertainty_before_measuring(small, tmp_path):
     assert "the rms volumetric error" in told
 
 
+@pytest.mark.thorough
 def test_what_fails_later_is_told_in_one_line(small, tmp_path):
     text = DISC.replace(
         "return {**linear_plan_table(plan)",
@@ -296,7 +298,7 @@ def test_annotations_that_are_text(small):
 
 
 QUICK = ("laser_tracker", "laser_frame")
-KINDS = [k if k in QUICK else pytest.param(k, marks=pytest.mark.slow) for k in INSTRUMENTS]
+KINDS = [k if k in QUICK else pytest.param(k, marks=pytest.mark.thorough) for k in INSTRUMENTS]
 
 
 @pytest.mark.campaign

@@ -102,6 +102,7 @@ def test_rotations_between_two_frames_in_closed_form():
     assert np.abs(s - ORIENTATION).max() < 2e-3 and np.abs(t - PROBE).max() < 2e-3
 
 
+@pytest.mark.thorough
 def test_a_nominal_arm_leaves_nothing(tmp_path):
     folder, *_ = write(tmp_path / "a", errors=0.0, noisy=0.0)
     study = load_study(folder)
@@ -118,6 +119,7 @@ def test_a_nominal_arm_leaves_nothing(tmp_path):
 
 
 @pytest.mark.parametrize("convention", ["quaternion", "euler_zyx"])
+@pytest.mark.thorough
 def test_an_arm_with_errors_is_identified(convention, tmp_path):
     """Poses of other positions, by the numpy arm, are predicted."""
     folder, _, arm = write(tmp_path / "a", convention, rows=80)
@@ -173,7 +175,7 @@ def test_a_correlation_that_is_none(value, tmp_path):
         load_study(folder)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_study_to_start_from_lacks_nothing():
     from vcal import close_loop
 

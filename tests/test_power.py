@@ -31,6 +31,7 @@ QUICK = {"laser_tracker/payload_sag", "laser_frame/refraction"}
 @pytest.mark.parametrize(
     "name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.campaign) for n in ALONE]
 )
+@pytest.mark.thorough
 def test_the_true_effect_leaves_no_residual(name):
     """Without noise the effect of this name, placement and component explains the data."""
     entry = ENTRIES[name]

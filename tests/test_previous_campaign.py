@@ -60,6 +60,7 @@ def predicted(fit):
     return 1e6 * np.sqrt((fit.residual[~FEW] ** 2).sum(1).mean())
 
 
+@pytest.mark.thorough
 def test_a_later_campaign_of_few_poses(campaigns):
     later, closure, _ = campaigns
     alone = fitted(load_study(later))

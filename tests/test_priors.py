@@ -47,7 +47,7 @@ def screw(tracker):
     return tracker.effect("screw_cyclic:X")
 
 
-SLOW = pytest.mark.slow
+SLOW = pytest.mark.thorough
 UNIVARIATE = [
     Normal(3.0, 2.0),
     StudentT(3.0, 2.0, 5),
@@ -71,6 +71,7 @@ UNIVARIATE = [
     ],
     ids=lambda law: law.name,
 )
+@pytest.mark.thorough
 def test_machines_are_drawn_from_the_declared_distribution(law, screw):
     effect = dataclasses.replace(screw, priors=(Prior("sine", law),))
     own = effect.amplitudes[0]
@@ -91,6 +92,7 @@ def test_machines_are_drawn_from_the_declared_distribution(law, screw):
     np.testing.assert_array_equal(theta[7, 1], plain[1])
 
 
+@pytest.mark.thorough
 def test_a_joint_distribution(screw):
     covariance = [[4.0, -1.2], [-1.2, 1.0]]
     for law in (
@@ -179,7 +181,7 @@ def test_scatter_has_a_distribution_too(tracker):
         prepare(tracker.model.with_effects(shifted), tracker.plan)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_budget_names_them(tracker, screw):
     effect = dataclasses.replace(screw, given=(("pitch", 20.0, 0.0),))
     effect = dataclasses.replace(effect, priors=(Prior("sine", Triangular(-5.0, 5.0)),))

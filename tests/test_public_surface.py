@@ -59,6 +59,7 @@ def test_dir_shows_the_public_names_only():
     assert isinstance(vcal.close_loop, types.FunctionType)
 
 
+@pytest.mark.slow
 def test_nothing_imported_is_left_under_a_public_name():
     """In a process of its own: the test session has imported further subpackages."""
     code = "import vcal, types; print([n for n, v in vars(vcal).items() if not n.startswith('_') "

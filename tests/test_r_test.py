@@ -231,7 +231,7 @@ def test_an_even_ellipse():
 # --- the loop ------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_loop_names_the_matrix(study):
     found = close_loop(study.model, study.measurement)
     assert found.verdict == "named" and [e.effect.key for e in found.effects] == [
@@ -252,7 +252,7 @@ def test_what_a_missing_plane_leaves_open_is_told(tmp_path):
     assert "determine matrix_XZ, matrix_YZ, matrix_ZZ; the values" in note
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_one_element_of_the_matrix_is_the_matrix(tmp_path):
     """Not a product of an acceleration with the way that its axis has gone since a reversal."""
     table = circles(matrix=[[0, 0, -1.5], [0, 0, 0], [0, 0, 0]], samples=40)
@@ -288,7 +288,7 @@ def test_at_one_pace_there_is_nothing_to_tell_a_mode_from_its_compliance(tmp_pat
         assert not list(vcal.CATALOGUE[name].candidates(setup))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_loop_names_probes_that_are_worse_than_declared(tmp_path):
     skew = 5e-4 * np.array([[1.0, 0.2, 0.0], [0.0, 1.0, -0.3], [0.0, 0.0, 1.0]])
     table = circles(matrix=np.zeros((3, 3)), skew=skew)
@@ -326,7 +326,7 @@ BUMPS = {
 @pytest.mark.campaign
 @pytest.mark.parametrize(
     "way",
-    [pytest.param(w, marks=pytest.mark.slow if w != "tool.Z" else ()) for w in BUMPS],
+    [pytest.param(w, marks=pytest.mark.thorough if w != "tool.Z" else ()) for w in BUMPS],
 )
 def test_a_circle_with_bumps_is_told_by_its_angle(tmp_path, way):
     """They were periods of a scale, or quadrant peaks."""
@@ -350,11 +350,12 @@ def test_a_circle_with_bumps_is_told_by_its_angle(tmp_path, way):
 @pytest.mark.parametrize(
     ("name", "axis"),
     [
-        pytest.param("stribeck_friction", "", marks=pytest.mark.slow),
+        pytest.param("stribeck_friction", "", marks=pytest.mark.thorough),
         ("coulomb_friction", ""),
-        pytest.param("coulomb_friction", "Y", marks=pytest.mark.slow),
+        pytest.param("coulomb_friction", "Y", marks=pytest.mark.thorough),
     ],
 )
+@pytest.mark.thorough
 def test_friction_that_depends_on_the_speed_has_its_name(tmp_path, name, axis):
     """It was a quadrant peak without an end, or plays, lags and friction that falls, of the sign
     that friction does not have.
@@ -530,7 +531,7 @@ def timed(table):
     return {**table, "t_s": table["t_s"] + start[np.searchsorted(runs, table["run"])]}
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_sphere_that_slips_within_a_run_is_a_jump(tmp_path):
     """Only that run tells it: every run has a place of the sphere of its own."""
     table = timed(circles(matrix=np.zeros((3, 3)), seed=5))
@@ -547,7 +548,8 @@ def test_a_sphere_that_slips_within_a_run_is_a_jump(tmp_path):
     assert table["t_s"][rows[0] - 1] < values["at"][0] < table["t_s"][rows[0]]
 
 
-@pytest.mark.parametrize("pitch_mm", [0.5, pytest.param(2.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("pitch_mm", [0.5, pytest.param(2.0, marks=pytest.mark.thorough)])
+@pytest.mark.thorough
 def test_a_scale_of_a_coarse_pitch_is_told_by_it(tmp_path, pitch_mm):
     """A magnetic scale: no screw has such a pitch, and the whole circle is two of them or eight."""
     table = circles(matrix=np.zeros((3, 3)), samples=120, seed=6)
@@ -613,7 +615,7 @@ def test_the_loop_names_quadrant_peaks(tmp_path, seed):
     assert found.errors["before"].chi2_per_dof > 1.2
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "key, name, true, more",
     [
@@ -637,7 +639,7 @@ NEST = np.array([[0.8, 0.0, 0.6], [-0.4, 0.69, 0.6], [-0.4, -0.69, 0.6]])
 
 
 @pytest.mark.parametrize(
-    ("tip", "place"), [pytest.param(None, 0.0, marks=pytest.mark.slow), (1.5, 300.0)]
+    ("tip", "place"), [pytest.param(None, 0.0, marks=pytest.mark.thorough), (1.5, 300.0)]
 )
 def test_probes_on_a_sphere(study, tmp_path, tip, place):
     """Against the contact of two spheres, found by bisection, wherever in the machine it is."""
@@ -686,7 +688,7 @@ def probed(tmp_path, **more):
     return load_study(folder), load_study(folder, {"machine.tool_offset_mm": LONG})
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_sphere_is_at_the_end_of_the_tool(tmp_path):
     """However long the tool is, the probes stand about the sphere."""
     short, long = probed(tmp_path)
@@ -700,6 +702,7 @@ def test_the_sphere_is_at_the_end_of_the_tool(tmp_path):
     assert load_study(out, {"machine.tool_offset_mm": LONG}).measurement is not None
 
 
+@pytest.mark.thorough
 def test_the_sphere_is_at_the_end_of_the_tool_of_its_data_set(tmp_path):
     """Two R-tests of one machine, the second with a longer tool than the machine has."""
     short, long = probed(tmp_path)

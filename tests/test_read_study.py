@@ -96,6 +96,7 @@ def test_the_mapping_is_shown_and_recorded(exported, capsys):
     assert any("inch to mm" in cell for table in tables for row in table.rows for cell in row)
 
 
+@pytest.mark.thorough
 def test_a_simulated_copy_is_in_plain_columns(exported, tmp_path):
     study = load_study(exported[0])
     write_simulated(study, tmp_path / "made", seed=3)
@@ -270,7 +271,7 @@ def test_the_fast_path_reads_the_same(tmp_path, mark, decimal):
         read_table(path, LARGE)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_million_rows_take_seconds(tmp_path):
     """Four seconds of processor time where nothing else runs; on a busy computer all takes longer,
     so that the limit is a multiple of what numpy takes for the bare numbers.
@@ -284,7 +285,7 @@ def test_a_million_rows_take_seconds(tmp_path):
     assert ours <= 3.5 * (time.process_time() - start - ours)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_spreadsheet_of_a_hundred_thousand_rows_takes_seconds(tmp_path):
     pytest.importorskip("python_calamine", reason="needs python_calamine, of the extra tables")
     xlsx(tmp_path / "data.xlsx", {"S": sheet(large(100_000))})

@@ -127,6 +127,7 @@ def test_every_candidate_is_tried_with_both(tmp_path):
     assert len(fewer) == len(tried) - 2
 
 
+@pytest.mark.slow
 def test_a_machine_compensated_at_another_temperature(tmp_path):
     """With all temperatures 10 K higher the name is right, and the reference value is found."""
     study = _study(tmp_path, 10.0)

@@ -113,6 +113,7 @@ def strict(path):
     return validated(content) if path.name == "report.json" else content
 
 
+@pytest.mark.thorough
 def test_a_column_that_does_not_vary_is_like_no_other(closed):
     """Of two data sets the covariate of one may be the same wherever the other's is there."""
     fit = closed[2].after
@@ -911,6 +912,7 @@ def test_many_declared_values_are_told_in_short(closed, monkeypatch, capsys):
     assert in_short(study.model.effects[-1], flat) == f"{len(flat)} declared values"
 
 
+@pytest.mark.thorough
 def test_report_without_check_points(closed, tmp_path):
     _, study, closure = closed
     errors = {
@@ -927,7 +929,7 @@ def test_report_without_check_points(closed, tmp_path):
     assert "error_field.png" in content["files"]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_report_of_circles_that_have_no_error_motions(tmp_path):
     """An R-test declares none: there is nothing to tabulate, and the rest is told."""
     spike = {"effect": "reversal_spike", "size_um": 4.0, "decay_mm": 0.06}
@@ -943,7 +945,7 @@ def test_report_of_circles_that_have_no_error_motions(tmp_path):
     assert "error_motions.png" not in content["files"]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_report_of_an_arm(small_arm_study, tmp_path):
     study = load_study(small_arm_study)
     assert study.measurement is not None
@@ -1057,6 +1059,7 @@ def test_files_of_pictures_have_names_that_can_be_files():
 
 
 @pytest.mark.parametrize("bounds", [(-500, 500), (-90, 90), (0, 360), (0, 12000), (-0.5, 0.5)])
+@pytest.mark.thorough
 def test_labels_of_ticks_do_not_touch(bounds):
     """On small multiples as narrow as those of five axes or of a robot."""
     for columns in (3, 5, 6):
@@ -1074,6 +1077,7 @@ def test_labels_of_ticks_do_not_touch(bounds):
 
 @pytest.mark.parametrize("half", [0.025, 0.5, 10.0])
 @pytest.mark.parametrize("picture", ["field", "check_points"])
+@pytest.mark.thorough
 def test_labels_have_room_on_machines_of_any_size(half, picture):
     """From 50 mm to 20 m: within the picture, and none over another or over a panel."""
     rng = np.random.default_rng(0)
@@ -1210,7 +1214,7 @@ def test_places_of_parameters_beside_a_pitch_that_is_known(closed):
 # --- whole or not at all -------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
 def test_failure_leaves_nothing_behind(closed, tmp_path, monkeypatch, error):
     _, study, closure = closed

@@ -83,6 +83,7 @@ def covariance_of_points(family):
 # --- what is drawn ---
 
 
+@pytest.mark.thorough
 def test_the_family_has_the_printed_mean_and_spread():
     search = find_family(SMALL, *INITIAL_UM, machines=4000)
     assert search.mean_um == pytest.approx(INITIAL_UM[0], abs=1e-3)
@@ -95,12 +96,13 @@ def test_the_family_has_the_printed_mean_and_spread():
     assert np.sqrt(square - mean**2) == pytest.approx(INITIAL_UM[1], rel=0.05)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_spread_that_no_family_has_is_refused():
     with pytest.raises(ValueError, match=r"found a spread of 1\.500 of the mean, expected one"):
         find_family(SMALL, 10.0, 15.0, machines=200)
 
 
+@pytest.mark.thorough
 def test_at_z_zero_the_points_see_no_rotation_of_y_and_z():
     rank = rank_of(SMALL, FAMILY)
     silent = {m.name for m in rank.motions if m.silent == m.coefficients}
@@ -166,7 +168,7 @@ def test_the_tracker_explains_the_printed_residual_only_as_three_sigma(results):
     assert means["24 µrad = 1 σ"] > 2.0 * FINAL_UM[0]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_initial_errors_come_out_as_printed(results):
     p = first(results.many).pooled["initial", "distance"]
     assert abs(p.mean - INITIAL_UM[0]) < 4.0 * p.u_mean
@@ -185,14 +187,14 @@ def test_more_tests_begin_with_the_same_ones(results):
         np.testing.assert_array_equal(few, many[:FEW])
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_all_campaigns_are_one_program(results, runners):
     (runner,) = runners
     (program,) = runner.programs.values()
     assert program._cache_size() == 1
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_every_identification_converged(results):
     for trials in (*results.many.values(), *results.influences.values()):
         assert trials.failed == 0
@@ -224,7 +226,7 @@ def test_mean_length_of_a_skewed_covariance():
     assert sd == pytest.approx(size.std(), rel=4e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_gum_and_monte_carlo_agree_whatever_the_noise(results):
     scatter = 1.0 / np.sqrt(2.0 * DRAWS)
     for name, one in list(results.rungs.items())[:3]:
@@ -236,14 +238,14 @@ def test_gum_and_monte_carlo_agree_whatever_the_noise(results):
             assert length.mean[1] == pytest.approx(length.mean[0], rel=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_gum_has_nothing_for_lengths(results):
     one = first(results.rungs)
     assert set(one.undefined) == {length.label for length in one.lengths}
     assert all(label.startswith("|d| at (") for label in one.undefined)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_error_left_is_the_posterior(results):
     # cov(d) = G H^-1 G' with G = dd/dtheta: by finite differences of the exact tool points.
     one = first(results.rungs)
@@ -265,7 +267,7 @@ def test_error_left_is_the_posterior(results):
 # --- influences and probing ---
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_what_is_left_out_makes_it_worse(results):
     left = {k: t.pooled["left", "distance"].mean for k, t in results.influences.items()}
     alone, *others = left.values()
@@ -275,7 +277,7 @@ def test_what_is_left_out_makes_it_worse(results):
     assert aligned["and tracker's pose"] == pytest.approx(aligned["tracker noise alone"], rel=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_probing_adds_what_is_independent(results):
     trials = first(results.many)
     bare, real = probing(trials, Probe(0.0, 0.0)), probing(trials, Probe(3.0, 4.0))
@@ -402,7 +404,7 @@ def test_printed_numbers_are_shown_as_printed():
     assert cells == [["30000", "200", ""], ["−1.55", "−1.677", "µm s²/m"]]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_folder(results, tmp_path):
     asked = []
     campaign = replace(

@@ -62,6 +62,7 @@ def test_exp_derivative_against_differences():
 
 
 @pytest.mark.parametrize("name", CHAINS)
+@pytest.mark.thorough
 def test_pose_in_components_is_the_pose_in_arrays(name):
     chain, rng = CHAINS[name], np.random.default_rng(1)
     n = len(chain.joints)
@@ -105,6 +106,7 @@ def test_inverse_and_product():
     np.testing.assert_allclose((ra.T @ ra).array(), np.eye(3), atol=1e-15)
 
 
+@pytest.mark.thorough
 def test_noise_is_standard_normal():
     values = np.asarray(standard_normal(jax.random.key(1), (200_001,)))
     assert values.dtype == np.float64

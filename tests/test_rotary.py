@@ -216,6 +216,7 @@ def studied(tmp_path_factory):
     return vcal.load_study(folder)
 
 
+@pytest.mark.thorough
 def test_location_errors_of_rotary_axes_are_declared_by_their_names(studied):
     names = [entry.parameter.name for entry in studied.model.entries]
     located = [name for name in names if name[2:3] == "0" and "." not in name]
@@ -224,7 +225,7 @@ def test_location_errors_of_rotary_axes_are_declared_by_their_names(studied):
     assert units["EX0C"] == "um" and units["EA0C"] == "urad"
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_loop_names_the_backlash_of_a_rotary_axis_and_corrects_the_machine(studied):
     closure = vcal.close_loop(studied.model, studied.measurement, check=studied.check)
     assert [f.effect.key for f in closure.effects] == ["backlash C"]
@@ -251,7 +252,7 @@ def test_the_loop_names_the_backlash_of_a_rotary_axis_and_corrects_the_machine(s
         assert abs(named[name].value - value) < 3.5 * named[name].u < 40.0, name
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_loop_names_the_worm_of_a_rotary_axis(tmp_path):
     write(tmp_path, backlash=0.0, seed=7, worm=15e-6)
     study = vcal.load_study(tmp_path)
@@ -279,7 +280,7 @@ def test_pitches_of_a_worm_end_where_slow_harmonics_begin(studied):
     assert worms["X"].parameters[0].unit == "um" and worms["X"].parameters[2].unit == "mm"
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_nothing_is_missing_where_nothing_is(tmp_path):
     write(tmp_path, backlash=0.0, seed=5)
     study = vcal.load_study(tmp_path)
@@ -298,7 +299,7 @@ def test_simulated_balls_are_where_the_matrices_find_them(studied):
     assert np.abs(moved[:, 3:]).max() == 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_one_ball_on_the_table_is_enough(tmp_path):
     write(tmp_path, backlash=0.0, seed=6, balls=(1,))
     header, *rows = (tmp_path / "artefact.csv").read_text().splitlines()
@@ -358,6 +359,7 @@ def test_what_does_not_fit_is_one_message(studied, overrides, said):
         (dict.fromkeys(("a_deg", "c_deg"), math.pi / 180.0), "degrees in a_deg, c_deg"),
     ],
 )
+@pytest.mark.thorough
 def test_angles_that_readings_do_not_follow_are_told(tmp_path, factors, said):
     write(tmp_path, backlash=0.0, seed=8)
     _change(tmp_path / "data.csv", factors)
@@ -367,6 +369,7 @@ def test_angles_that_readings_do_not_follow_are_told(tmp_path, factors, said):
         vcal.load_study(tmp_path)
 
 
+@pytest.mark.thorough
 def test_readings_that_are_astray_are_no_wrong_angles(tmp_path):
     """A few gross errors are left out by the loop, as on any machine."""
     write(tmp_path, backlash=0.0, seed=8)

@@ -55,8 +55,8 @@ def screened(it: Known, measurement: Measurement, draws: int = 200, seed: int = 
         ("laser_tracker", "encoder_eccentricity:azimuth"),
         ("laser_tracker", "station_drift"),
         ("laser_tracker", "cross_axis:Y:component=EZY,other=X"),
-        pytest.param("ball_array", "backlash:X", marks=pytest.mark.slow),
-        pytest.param("ball_array", "thermal_tilt:Y:component=EAY", marks=pytest.mark.slow),
+        pytest.param("ball_array", "backlash:X", marks=pytest.mark.thorough),
+        pytest.param("ball_array", "thermal_tilt:Y:component=EAY", marks=pytest.mark.thorough),
         ("ball_array", "ball_error:ball 4"),
         ("ball_array", "artefact_expansion"),
     ],
@@ -161,6 +161,7 @@ def test_null_draws_have_the_covariance_of_residuals(known):
     assert np.abs(ScoreTest(fit, 800, 1).null - state.null).max() > 0.1
 
 
+@pytest.mark.thorough
 def test_p_values_are_even_where_nothing_is_missing(known):
     """40 clean machines drawn from their family, half of them noisier than declared."""
     it, rng = known["laser_tracker"], np.random.default_rng(11)
@@ -341,6 +342,7 @@ def test_a_rival_that_the_data_do_not_see_is_left_out(known):
     assert refit_all(state.fit, [peak], {"local_bump": 1}, state.fit.used, it.room) == []
 
 
+@pytest.mark.thorough
 def test_a_rival_whose_size_is_told_and_whose_shape_is_not_is_kept(tmp_path):
     """A gear that has wound up at loads below those of any pose: by how much, but not when."""
     it = Known("reflectors", tmp_path)
@@ -402,6 +404,7 @@ def test_placements_that_move_the_same_are_one_class(known):
 
 
 @pytest.mark.parametrize("kind", ["laser_tracker", "ball_array"])
+@pytest.mark.thorough
 def test_stray_readings(kind, known):
     it = known[kind]
 

@@ -506,6 +506,7 @@ def test_two_effects_of_one_key_have_values_of_their_own(tracker):
         assert values[1][2] * 3600.0 == pytest.approx(fit.shapes[place]["tau"])
 
 
+@pytest.mark.thorough
 def test_what_the_readings_do_not_determine_is_told_by_name(tracker):
     """The pose of a station, from points on one line."""
     position = np.array(tracker.plan.position)
@@ -535,6 +536,7 @@ def test_an_effect_of_which_the_readings_say_nothing_is_not_named(tracker):
     assert less.status == "ambiguous" and "poorly determine its size" in less.separation
 
 
+@pytest.mark.thorough
 def test_no_more_effects_are_added_than_may_be(tracker):
     """What is left is then not said to have no name."""
     two = [tracker.effect(f"backlash:{axis}:size_um=30") for axis in "XY"]
@@ -548,6 +550,7 @@ def test_no_more_effects_are_added_than_may_be(tracker):
 
 
 @pytest.mark.parametrize("told", [False, True])
+@pytest.mark.thorough
 def test_what_check_points_ask_beyond_what_was_measured(tracker, told):
     """A drift that was measured for some minutes, and two hours of check points."""
     check, t = tracker.study.check, np.asarray(tracker.plan.covariate("t"))
@@ -579,7 +582,7 @@ def test_the_error_at_check_points_lacks_what_they_do_not_record(tracker):
         assert any("dir_y" in note and "check" in note for note in closure.notes) == told
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_run_of_circles_alone_can_name(tmp_path):
     """One run is held out in parts: there is no other to foretell it."""
     from test_r_test import circles, write
@@ -835,6 +838,7 @@ def test_a_rejected_effect_bars_no_other(tracker, monkeypatch):
     assert [r.reason for r in run.rejected] == ["by 1 % only"]
 
 
+@pytest.mark.thorough
 def test_what_can_be_done_without_makes_room(tracker, monkeypatch):
     """Two effects at most: with one of them gone the search goes on."""
     put_in = [tracker.effect("backlash:X:size_um=9"), tracker.effect("backlash:Y:size_um=12")]

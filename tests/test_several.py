@@ -243,6 +243,7 @@ def test_padding_counts_nowhere(framed, framed_fit):
     assert heldout_rms(fit, beams).value == pytest.approx(rms, rel=1e-9)
 
 
+@pytest.mark.thorough
 def test_no_number_of_the_padding_is_read(framed, framed_fit):
     """Whatever stands there, in the readings and in W, every result is the same."""
     study, fit = framed[1], framed_fit
@@ -346,7 +347,7 @@ def test_an_effect_of_the_machine_is_named_once(backlash):
         assert after.sets[name].chi2_per_dof < 1.2 < before.sets[name].chi2_per_dof
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_page_tells_the_data_sets_apart(backlash):
     study, closure, page = backlash
     text = page.read_text(encoding="utf-8")
@@ -380,7 +381,7 @@ def test_an_effect_of_an_instrument_is_named_for_its_data_set(tmp_path):
     assert " when it was added (in the data set tracker)." in page
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_what_the_machine_may_do_as_well_and_was_not_tested_leaves_a_name_open(tmp_path):
     """Its drift cannot be tested where the clocks overlap, and looks like one of the station."""
     true = [{"effect": "drift", "axis": "X", "component": "Y", "um_per_h": 30}]
@@ -422,7 +423,7 @@ def test_before_and_after_warming_up(tmp_path):
         assert closed(study).effects == []
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_noise_that_one_data_set_declares_too_small_names_nothing(clean):
     """Readings of the balls scatter 1.5 times as declared: that is said, and nothing is blamed."""
     study = clean[1]
@@ -447,7 +448,7 @@ def two_machines(tmp_path_factory):
     return load_study(write_joint(tmp_path_factory.mktemp("several") / "machines", cases))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_two_machines_are_not_one(two_machines):
     study = two_machines
     fit = identify(study.model, study.measurement, room=ROOM)
@@ -463,6 +464,7 @@ def test_two_machines_are_not_one(two_machines):
     assert data_set_consistency(fit, one, ROOM) == ""
 
 
+@pytest.mark.thorough
 def test_data_sets_of_one_machine_do_not_contradict_each_other(clean, clean_fit):
     assert data_set_consistency(clean_fit, clean_fit, ROOM) == ""
     (rows,) = (clean[1].plan.in_set("balls"),)
@@ -598,6 +600,7 @@ def test_effects_can_be_declared_for_one_data_set(clean):
         load_study(folder, {"model.effect": [{"name": "range_scale", "data_set": "traker"}]})
 
 
+@pytest.mark.thorough
 def test_a_probe_of_one_data_set_moves_the_tool_there_only(clean, tmp_path):
     """Lobes of the probe that touched the balls answer at the tool, which both data sets have."""
     folder, _ = clean
@@ -806,7 +809,7 @@ def test_every_table_is_filled(clean, tmp_path):
         assert chi2 / dof == pytest.approx(1.0, abs=4 * np.sqrt(2 / dof))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_what_both_will_tell_is_known_before(clean):
     """The GUM through the joint identification is the posterior of all whitened readings, and every
     data set has noise of its own among its sources.

@@ -54,7 +54,7 @@ ELSEWHERE = {"instrument.station_mm": [0, 0, 0]}
 """Where the tracker was declared to be, 1.2 m from where it is."""
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_encoders_turn_by_what_they_read(small_tracker_study, tmp_path):
     """An eccentric encoder has the same size, wherever the station was declared to be."""
     declared = {"name": "encoder_eccentricity", "placement": "azimuth"}
@@ -72,7 +72,7 @@ def test_encoders_turn_by_what_they_read(small_tracker_study, tmp_path):
     np.testing.assert_allclose(other.theta[-2:], one.theta[-2:], atol=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("joint", [False, True])
 def test_a_tracker_is_simulated_where_it_is_declared(small_tracker_study, tmp_path, joint):
     """Angles in the plan are those of the readings that were made, not of those before."""
@@ -106,6 +106,7 @@ def test_a_tracker_is_simulated_where_it_is_declared(small_tracker_study, tmp_pa
 # --- exact limits --------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_a_perfect_machine_reads_nominal(tracker):
     model, plan = tracker.model, tracker.plan
     found = simulate(model, plan, KEY, truth=nothing(model), noise_factor=0.0)
@@ -145,6 +146,7 @@ def test_only_effects_of_the_machine_move_the_tool(tracker):
 # --- draws ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_the_key_alone_decides(tracker):
     model, plan = tracker.model, tracker.plan
     first, again = simulate(model, plan, KEY), simulate(model, plan, KEY)
@@ -159,7 +161,7 @@ def test_the_key_alone_decides(tracker):
     np.testing.assert_allclose(quiet.noise, 0.5 * first.noise, rtol=1e-15)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_compiled_and_mapped_draws_are_the_single_ones(tracker):
     simulator = prepare(tracker.model, tracker.plan)
     keys = jax.random.split(KEY, 4)
@@ -183,6 +185,7 @@ def test_compiled_and_mapped_draws_are_the_single_ones(tracker):
         np.testing.assert_allclose(readings[i], found.measurement.readings, rtol=0, atol=2e-15)
 
 
+@pytest.mark.thorough
 def test_draws_have_the_declared_spread(tracker):
     simulator = prepare(tracker.model, tracker.plan)
     keys = jax.random.split(KEY, 200)
@@ -201,6 +204,7 @@ def test_draws_have_the_declared_spread(tracker):
     np.testing.assert_allclose(simulator.sigma[:, 0], 1.3e-6 + 0.27e-6 * r, rtol=1e-12)
 
 
+@pytest.mark.thorough
 def test_random_effects_are_fresh_in_every_row(tracker):
     model = tracker.model.with_effects(effect(tracker, "repeatability:X:size_um=3"))
     perfect = nothing(model)
@@ -276,6 +280,7 @@ def test_the_tool_sits_in_the_ball_at_the_positions_found(balls):
     assert 1e-6 < np.abs(moved).max() < 1e-3
 
 
+@pytest.mark.thorough
 def test_probing_noise_is_in_the_positions(balls):
     exact = simulate(balls.model, balls.plan, KEY, noise_factor=0.0).measurement.plan.position
     found = simulate(balls.model, balls.plan, KEY)
@@ -297,6 +302,7 @@ def test_calibrated_balls_are_wrong_as_declared(balls):
     assert abs(drawn.std() - 1) < 4.5 / np.sqrt(2 * drawn.size)
 
 
+@pytest.mark.thorough
 def test_a_tool_that_does_not_follow_its_axes(balls):
     backwards = dataclasses.replace(effect(balls, "scale_growth:X"), given=(("alpha", -4e6, 0.0),))
     with pytest.raises(
@@ -316,6 +322,7 @@ def test_a_fit_finds_the_truth_again(tracker):
     assert abs(np.sqrt(np.mean(z**2)) - 1) < 0.3
 
 
+@pytest.mark.thorough
 def test_tables_hold_what_is_in_the_files_and_no_more(tracker, balls):
     for study in (tracker, balls):
         found = simulate(study.model, study.plan, KEY).measurement
@@ -324,6 +331,7 @@ def test_tables_hold_what_is_in_the_files_and_no_more(tracker, balls):
         assert set(table) == own
 
 
+@pytest.mark.thorough
 def test_scattered_conditions(tracker):
     plan = scattered(tracker.chain, tracker.plan, KEY, 300)
     position = np.asarray(plan.position)

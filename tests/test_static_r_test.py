@@ -106,6 +106,7 @@ def machine(backlash):
 
 
 @pytest.mark.parametrize("nest", ["spindle", "table"])
+@pytest.mark.thorough
 def test_readings_are_those_of_the_matrices(tmp_path, nest):
     study = vcal.load_study(write(tmp_path, 1, machine(0.0), nest, runs=1))
     instrument, rng = study.instrument, np.random.default_rng(2)
@@ -125,7 +126,7 @@ def test_readings_are_those_of_the_matrices(tmp_path, nest):
         np.testing.assert_allclose(found, expected, atol=1e-14)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_probes_of_their_own_tell_the_same(tmp_path):
     unit = PROBES / np.linalg.norm(PROBES, axis=1, keepdims=True)
     one = vcal.load_study(write(tmp_path / "one", 1, machine(0.0), runs=1))
@@ -168,11 +169,13 @@ def test_the_loop_names_the_backlash_of_a_rotary_axis(studied):
     assert closure.after.chi2 / closure.after.dof == pytest.approx(1.0, abs=0.15)
 
 
+@pytest.mark.thorough
 def test_nothing_is_missing_where_nothing_is(tmp_path):
     study = vcal.load_study(write(tmp_path, 5, machine(0.0)))
     assert vcal.close_loop(study.model, study.measurement).verdict == "nothing_missing"
 
 
+@pytest.mark.slow
 def test_location_errors_are_found(tmp_path):
     """Of axes that are off and square to nothing, without any other error."""
     truth = {"EY0A": 20.0, "EB0A": 15.0, "EX0C": -18.0, "EY0C": 11.0, "EA0C": 25.0}
@@ -200,7 +203,7 @@ def located(fit, truth):
     return {name: values[i] * 1e6 for name, i in at.items()}
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_simulated_readings_are_where_they_are_read(studied):
     made = simulate(studied.model, studied.plan, jax.random.key(2), noise_factor=0.0)
     values = studied.instrument.to_table(made.measurement.plan, made.measurement.readings)
@@ -238,7 +241,7 @@ def test_the_place_of_a_sphere_that_no_reading_saw(studied):
 @pytest.mark.parametrize(
     "nest",
     [
-        pytest.param("spindle", marks=pytest.mark.slow),
+        pytest.param("spindle", marks=pytest.mark.thorough),
         pytest.param("table", marks=pytest.mark.campaign),
     ],
 )
@@ -318,6 +321,7 @@ def test_what_does_not_fit_is_one_message(small, overrides, said):
     assert "expected" in str(caught.value)
 
 
+@pytest.mark.thorough
 def test_every_sign_that_fits_is_named():
     """Of a circle on a rotary table any of three; c_deg first, which is most often wrong."""
     chain = chain_from_string("w C b X Y Z t", rotary_m={"C": (0.0, 0.0, 0.0)})
@@ -367,6 +371,7 @@ def test_rows_that_do_not_fit(small, tmp_path, change, said):
         vcal.load_study(tmp_path)
 
 
+@pytest.mark.thorough
 def test_a_machine_without_rotary_axes(tmp_path):
     rows = [[0, 10.0 * k, 20.0, 30.0, 0.0, 0.0, 0.0] for k in range(9)]
     save(tmp_path / "data.csv", ["run", *POSITIONS[:3], *COORDINATES], rows)
@@ -376,7 +381,7 @@ def test_a_machine_without_rotary_axes(tmp_path):
         vcal.load_study(tmp_path)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_probes_turn_with_a_head(tmp_path):
     """Where C and A carry the spindle, and A is off the axis of C."""
     rng = np.random.default_rng(8)
@@ -407,6 +412,7 @@ def test_probes_turn_with_a_head(tmp_path):
     assert located(fit, truth) == pytest.approx(truth, abs=8.0)
 
 
+@pytest.mark.thorough
 def test_a_spindle_in_a_head_that_warms_up_turns_with_it(studied):
     """No error motion of an axis does; where no head turns it, the last axis has the same."""
     warm = vcal.CATALOGUE["warm_up"]

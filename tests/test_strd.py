@@ -152,6 +152,7 @@ def solved() -> dict:
 
 
 @pytest.mark.parametrize(("start", "least"), [(1, 26), (2, 27)])
+@pytest.mark.thorough
 def test_certified_values_are_found(solved, start, least):
     """Eight digits of all parameters, six of their deviations, with one set of settings.
 
@@ -341,6 +342,7 @@ def quadratic(x, problem):
     return c + A @ x + 0.5 * jnp.einsum("nij,i,j->n", B, x, x)
 
 
+@pytest.mark.thorough
 def test_steps_taken_together_end_in_minima_only():
     """Of many curved problems with large residuals: within the tolerance, where the Hessian is
     positive, by numpy.
@@ -372,6 +374,7 @@ def hump(x, y):
 
 
 @pytest.mark.parametrize("damped", [False, True])
+@pytest.mark.thorough
 def test_a_jump_to_where_nothing_changes_is_no_minimum(damped):
     """Far off the model is flat; by the Jacobian of the start any step would be short there."""
     y = 45.0 + np.random.default_rng(0).standard_normal(200)
@@ -425,6 +428,7 @@ def test_tolerance_is_in_standard_uncertainties():
 
 
 @pytest.mark.parametrize("name", ["DanWood", "Gauss1", "Kirby2"])
+@pytest.mark.thorough
 def test_what_is_left_to_the_minimum_is_within_the_tolerance(name):
     """By numpy, at the end of a fit: whatever told the solver how near it is."""
     it, xy = SETS[name], data(name)
@@ -512,6 +516,7 @@ def test_rank_and_step_at_every_condition(power):
         np.testing.assert_allclose(A @ found.value, unit @ best, rtol=0, atol=1e-6)
 
 
+@pytest.mark.thorough
 def test_mapped_problems_of_every_condition_do_not_share_the_way():
     """One of them needs reflections, the others do not, and each is solved as it is alone."""
     rng = np.random.default_rng(5)

@@ -259,6 +259,7 @@ def test_beyond_the_limit_quantiles_come_from_the_sketch_and_the_rest_stays():
         )
 
 
+@pytest.mark.thorough
 def test_many_outputs_have_coarser_bins_and_the_memory_does_not_grow():
     def many(first, count):
         return {"y": np.random.default_rng([2, first]).standard_normal((count, 2000))}
@@ -351,7 +352,7 @@ def killed_evaluate(first, count):
     return {"y": rng.standard_normal((count, 5)), "map": rng.random((count, 50))}
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_killed_at_random_moments_it_ends_with_the_same_numbers(tmp_path):
     settings = {
         "outputs": [Output("y", (5,))],
@@ -410,6 +411,7 @@ for devices in ((), jax.local_devices(), jax.local_devices()[1:]):
 """
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_the_number_of_devices():
     flags = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=2"
     found = subprocess.run(

@@ -335,6 +335,7 @@ def test_overrides(small_tracker_study):
 @needs_data
 @pytest.mark.practice
 @pytest.mark.parametrize("folder", PRACTICE, ids=lambda p: p.name)
+@pytest.mark.slow
 def test_practice(folder):
     kind = "".join(
         line.split('"')[1]
@@ -350,7 +351,7 @@ def test_practice(folder):
     assert np.isfinite(study.measurement.readings).all()
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @needs_data
 @pytest.mark.practice
 @pytest.mark.parametrize("joints", ["commanded", "read"])

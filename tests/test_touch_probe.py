@@ -88,6 +88,7 @@ def keys(study):
 # --- what the contacts show -----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_sphere(tmp_path):
     points, out = around()
     study = load_study(write(tmp_path / "sphere", columns_of(points)))
@@ -111,6 +112,7 @@ def test_a_sphere_touched_at_its_equator_only(tmp_path):
     assert keys(study)[:3] == ["artefact_place 0.X", "artefact_place 0.Y", "stylus_radius error"]
 
 
+@pytest.mark.thorough
 def test_a_ring(tmp_path):
     points, out = around(radius=22.0, pole=False)
     study = load_study(write(tmp_path, columns_of(points), RING))
@@ -139,6 +141,7 @@ def test_readings_of_a_sphere(tmp_path):
     np.testing.assert_allclose(moved, -4e-6 * out[:, 1] - 1e-6, atol=2e-9)
 
 
+@pytest.mark.thorough
 def test_a_step_gauge(tmp_path):
     """Along an axis its tilt is not seen; contacts beside its line show it."""
     points, more = line((1, 0, 0))
@@ -193,6 +196,7 @@ def test_a_gauge_that_cannot_be_right(tmp_path, case):
 
 
 @pytest.mark.parametrize("artefact", ["sphere", "gauge"])
+@pytest.mark.thorough
 def test_simulated_contacts_are_contacts(tmp_path, artefact):
     """What is simulated without noise is at the surface of the machine with errors."""
     if artefact == "sphere":
@@ -215,6 +219,7 @@ def test_simulated_contacts_are_contacts(tmp_path, artefact):
 TURNING = "[machine.rotary]\nC = { at_mm = [300, 250, 0], travel_deg = [0, 360] }"
 
 
+@pytest.mark.thorough
 def test_a_sphere_on_a_turning_table_shows_the_axis(tmp_path):
     """The contacts of an independent machine whose axis C is off and tilted: its average line."""
     machine = FiveAxis("w C b X Y Z t", {"C": [0.3, 0.25, 0.0]}, [0.0, 0.0, -0.15])
@@ -247,6 +252,7 @@ def test_a_sphere_on_a_turning_table_shows_the_axis(tmp_path):
         assert abs(value - true) < 3.0 * u + 0.3, (name, value, u)
 
 
+@pytest.mark.thorough
 def test_the_bundled_study(tmp_path):
     study = load_study(STARTS / "touch_probe")
     assert study.plan.has("approach_rad", "dir_X", "dir_Z", "dir_C")
@@ -282,6 +288,7 @@ def case(folder, effects=(), seed=1, noise_factor=1.0):
 
 
 @pytest.mark.parametrize(("noise", "low", "high"), [(1.0, 0.85, 1.15), (0.0, 0.0, 0.02)])
+@pytest.mark.thorough
 def test_a_clean_case_is_noise(tmp_path, noise, low, high):
     study = case(tmp_path, noise_factor=noise)
     fit = vcal.identify(study.model, study.measurement)
@@ -294,7 +301,7 @@ FOUND = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("key", FOUND)
 def test_what_is_missing_is_named(tmp_path, key):
     study = case(tmp_path, [FOUND[key]])
@@ -303,7 +310,7 @@ def test_what_is_missing_is_named(tmp_path, key):
     assert [e.effect.key for e in closure.effects] == [key]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("effect", ["probe_lobing", "probe_two_lobes"])
 def test_lobes_are_named(tmp_path, effect):
     given = {"probe_lobing": "sine3_um=1", "probe_two_lobes": "sine2_um=1"}[effect]

@@ -232,6 +232,7 @@ def test_a_pose_in_closed_form_without_outliers():
     assert np.abs(pose.place - [1.0, 2.0, 3.0]).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_multilateration_reaches_the_bound(ranges):
     """Four stations, three tools, 300 points from each: the oracle's own estimate of 21 errors."""
     case, _, study = ranges
@@ -281,6 +282,7 @@ def test_ranges_that_do_not_follow_name_the_unit(ranges, tmp_path):
         vcal.load_study(path)
 
 
+@pytest.mark.thorough
 def test_simulated_ranges_are_read_back(ranges, tmp_path):
     """Stations and tools keep their names, and the result is a study like its model."""
     _, _, study = ranges
@@ -293,7 +295,7 @@ def test_simulated_ranges_are_read_back(ranges, tmp_path):
     assert fit.chi2 / fit.dof == pytest.approx(1.0, abs=0.15)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("effect", "key"),
     [
@@ -332,7 +334,7 @@ def test_design_places_points_and_keeps_stations_and_tools(ranges):
         )
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_uncertainties_of_multilateration_are_valid(tmp_path):
     """Squareness errors and places of stations within U (k = 2) of 20 simulated measurements."""
     inside = []

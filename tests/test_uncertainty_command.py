@@ -170,6 +170,7 @@ def line_errors(model, plan) -> np.ndarray:
     return np.stack([(told(h) - told(-h)) / 2e-2 for h in steps], 1)
 
 
+@pytest.mark.slow
 def test_gum_and_monte_carlo_agree_on_the_volumetric_error(report):
     found = strict(report[0] / "result.json")
     rms = found["rms_after_um"]
@@ -192,7 +193,7 @@ def test_gum_and_monte_carlo_agree_on_the_volumetric_error(report):
     assert 0.5 < found["improved_share"] <= 1.0
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_same_in_python(study, report):
     found = strict(report[0] / "result.json")
     loaded = vcal.load_study(study)

@@ -98,6 +98,7 @@ def test_gravity_in_the_frame_of_an_artefact(tmp_path):
     assert np.abs(upright.covariates["gravity_z"]).max() > 0.9
 
 
+@pytest.mark.thorough
 def test_torques_of_an_arm_that_hangs_are_the_other_way_round():
     arm = example_arm()
     rows = [

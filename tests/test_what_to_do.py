@@ -21,6 +21,7 @@ def fit(tmp_path_factory):
     return identify(study.model.with_effects(*own), study.measurement)
 
 
+@pytest.mark.thorough
 def test_a_reversal_error_moves_the_tool_by_half_of_it(fit):
     place = next(i for i, e in enumerate(fit.model.effects) if e.key == "backlash Y")
     (value,) = (value for _, _, value, _ in fit.values_of(place))

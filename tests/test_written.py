@@ -46,6 +46,7 @@ def test_readings_have_ten_digits(tmp_path):
         )
 
 
+@pytest.mark.thorough
 def test_times_since_1970_are_kept(tmp_path):
     table = circles(samples=40)
     table["t_s"] = np.round(table["t_s"], 6) + UNIX

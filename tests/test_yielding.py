@@ -316,6 +316,7 @@ def write_lift(folder, bent, rows=150, seed=4):
     return folder, turn
 
 
+@pytest.mark.slow
 def test_a_column_that_bends_is_named_and_confirmed(tmp_path):
     folder, turn = write_lift(tmp_path / "lift", 1.5e-4)
     study = load_study(folder)

@@ -23,6 +23,8 @@ _VERDICTS = {
     "nothing_missing": "nothing was found", "named": "named", "ambiguous": "ambiguous",
     "unexplained": "unexplained",
 }  # fmt: skip
+_STAGES = {"uncompensated": "error", "before": "declared model", "after": "identified"}
+"""The stages of a report, and the heads of their columns."""
 _ORDER = ("failed", "lost", "refused", "not begun")
 """The ways to end without a report, in the order of the page."""
 
@@ -156,19 +158,20 @@ def _without_report(bad: Sequence[Member]) -> list[Section]:
         for one in bad
         if one.status == status
     ]
-    return [Section("Without a report", tables=(Table(("study", "", "why"), rows, "lll"),))]
+    return [Section("Without a report", tables=(Table(("study", "state", "why"), rows, "lll"),))]
 
 
 def _with_report(done: Sequence[Member]) -> Section:
     links = {one.job.name: f"{REPORTS}/{one.job.name}/index.html" for one in done}
     header = (
-        "study", "verdict", "found", "error before, µm", "error after, µm", "of what", "what to do",
-        "report",
+        "study", "verdict", "found", *(f"{words}, µm" for words in _STAGES.values()), "errors are of",
+        "what to do", "report",
     )  # fmt: skip
     table = Table(
-        header, [_row(one) for one in done], "lllrrlll", links=links, sortable=True,
-        note="Errors are rms deviations of the declared model (before) and of the identified "
-        "machine (after), ± standard uncertainty. A click on the head of a column sorts the rows.",
+        header, [_row(one) for one in done], "lllrrrlll", links=links, sortable=True,
+        note="Errors are rms deviations ± standard uncertainty: of the machine as it is, of the "
+        "model without and of that with what was found. A click on the head of a column sorts the "
+        "rows.",
     )  # fmt: skip
     return Section("Reports", tables=(table,))
 
@@ -176,15 +179,14 @@ def _with_report(done: Sequence[Member]) -> Section:
 def _row(one: Member) -> tuple[str, ...]:
     content = one.content
     basis, errors = errors_of(content)
-    before, after = (
-        text.with_uncertainty(*errors[stage]) if stage in errors else text.DASH
-        for stage in ("before", "after")
-    )
+    values = [
+        text.with_uncertainty(*errors[stage]) if stage in errors else text.DASH for stage in _STAGES
+    ]
     found = [e for e in content["effects"] if e["found"]]
     names = ", ".join(map(_name, found)) or text.DASH
     verdict = _VERDICTS.get(content["verdict"], "interrupted")
     return (
-        one.job.name, verdict, names, before, after, basis or text.DASH, _advice(content),
+        one.job.name, verdict, names, *values, basis or text.DASH, _advice(content),
         _WORDS[one.status],
     )  # fmt: skip
 

@@ -34,7 +34,8 @@ TRIES = 2
 """How often a job is begun whose process ends."""
 
 
-T, R = TypeVar("T"), TypeVar("R")
+T = TypeVar("T")
+R = TypeVar("R")
 
 
 @dataclass(frozen=True)
