@@ -164,8 +164,8 @@ def _without_report(bad: Sequence[Member]) -> list[Section]:
 def _with_report(done: Sequence[Member]) -> Section:
     links = {one.job.name: f"{REPORTS}/{one.job.name}/index.html" for one in done}
     header = (
-        "study", "verdict", "found", *(f"{words}, µm" for words in _STAGES.values()), "errors are of",
-        "what to do", "report",
+        "study", "verdict", "found", *(f"{words}, µm" for words in _STAGES.values()),
+        "errors are of", "what to do", "report",
     )  # fmt: skip
     table = Table(
         header, [_row(one) for one in done], "lllrrrlll", links=links, sortable=True,
