@@ -161,6 +161,22 @@ def test_null_draws_have_the_covariance_of_residuals(known):
     assert np.abs(ScoreTest(fit, 800, 1).null - state.null).max() > 0.1
 
 
+def test_what_is_not_kept_is_made_again(known, monkeypatch):
+    """Projections on ports, of which a large plan has more than there is room for."""
+    it = known["ball_array"]
+    measurement = noisy(it, 3)
+    tried, _ = candidates(it.model, measurement, [CATALOGUE["backlash"]])
+    kept = screened(it, measurement)
+    before = kept.tests(tried)
+    monkeypatch.setattr("vcal.loop.screening.score_test._ROOM", 0)
+    again = screened(it, measurement)
+    for one, other in zip(before, again.tests(tried), strict=True):
+        np.testing.assert_array_equal(one.drops.stat, other.drops.stat)
+        for rank, drops in one.drops.null.items():
+            np.testing.assert_array_equal(drops, other.drops.null[rank])
+    assert kept._contracted and not again._contracted
+
+
 @pytest.mark.thorough
 def test_p_values_are_even_where_nothing_is_missing(known):
     """40 clean machines drawn from their family, half of them noisier than declared."""

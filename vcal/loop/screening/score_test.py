@@ -35,6 +35,9 @@ _CANCELLED = 1e-24
 """Squared share of the displacements at the ports that reaches the readings, below which it is
 rounding: the readings do not depend on the port, or its parts cancel."""
 _CHUNK = 512
+_ROOM = 2**28
+"""Bytes of projections on ports that are kept. Others are made again where they are needed, so that
+the memory does not grow with rows, ports and null residuals together."""
 _FAINT, _ROUNDING = 1e-6, 1e-9
 """Precision of a free shape parameter: share of that of its scan, and of the information in the
 readings. Both are negligible."""
@@ -117,6 +120,7 @@ class ScoreTest:
         self.null_cost = self._cost((null**2).sum(0), (beside**2).sum(0))
         self.null = null.reshape(n, m, draws).astype(np.float32)
         self._contracted: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+        self._room = _ROOM
         self._products: dict[tuple[int, int], np.ndarray] = {}
 
     def _cost(self, chi2, prior):
@@ -131,14 +135,19 @@ class ScoreTest:
 
     def contract(self, port: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Residual (n), null residuals (n, draws) and Jacobian (n, k) projected on one port."""
-        if port not in self._contracted:
-            g = self.ports[:, :, port]
-            self._contracted[port] = (
-                np.einsum("nm,nm->n", g, self.residual),
-                np.einsum("nm,nmd->nd", g.astype(np.float32), self.null, optimize=True),
-                np.einsum("nm,nmk->nk", g, self.jacobian, optimize=True),
-            )
-        return self._contracted[port]
+        if port in self._contracted:
+            return self._contracted[port]
+        g = self.ports[:, :, port]
+        found = (
+            np.einsum("nm,nm->n", g, self.residual),
+            np.einsum("nm,nmd->nd", g.astype(np.float32), self.null, optimize=True),
+            np.einsum("nm,nmk->nk", g, self.jacobian, optimize=True),
+        )
+        size = sum(one.nbytes for one in found)
+        if size <= self._room:
+            self._room -= size
+            self._contracted[port] = found
+        return found
 
     def columns(self, effect: Effect, shape: Mapping[str, float]) -> np.ndarray:
         """Whitened columns C of a candidate (n m, amplitudes), in solver units."""
