@@ -28,12 +28,14 @@ COMMANDS = {
     "power": "power.py --sets 20 --jobs 2 --minutes 60",
     "power_fresh": "power.py --first-seed 30000 --sets 4 --multiples 3 5",
     "power_new": "power.py --first-seed 61000 --multiples 3 5",
-    "smallest_sizes": "smallest_sizes.py --first-seed 41000 --sets 25",
+    "smallest_sizes": "smallest_sizes.py --first-seed 43000 --sets 30",
     "several": "several.py --sets 20 --jobs 2 --minutes 60",
-    "declared_sizes": "declared_sizes.py --sets 24",
-    "large_sizes": "large_sizes.py --sets 1",
+    "declared_sizes": "declared_sizes.py --first-seed 71000 --sets 50",
+    "large_sizes": "large_sizes.py --first-seed 71000 --sets 1",
+    "aliases": "aliases.py --first-seed 71000",
     "five_axes": "five_axes.py --sets 30 --jobs 2 --minutes 20",
     "within_u": "within_u.py --sets 90 --jobs 2",
+    "within_u_new": "within_u.py --first-seed 31000 --sets 60",
     "practice": "practice.py --data ../shared/data",
     "speed": "speed.py --data ../shared/data",
 }
@@ -264,7 +266,22 @@ def five_axes(found: dict) -> str:
     return table("instrument," + ",".join(case.replace(",", "") for case in cases), rows)
 
 
-def within_u(found: dict) -> str:
+def aliases(found: dict) -> str:
+    seen, named = found["seen"], found["named"]
+    rows = [
+        ["a screw is named, as a class of pitches", f"{named} of {seen}"],
+        ["- the true pitch is in the class", f"{found['true_in_class']} of {named}"],
+        ["another name", f"{found['other_names']} of {seen}"],
+        ["error at check points larger by more than its u", f"{found['worse_by_more_than_u']} of "
+         f"{found['sets']}"],
+        ["pitch of which the step is a multiple: a name", f"{found['unseen_named']} of "
+         f"{found['unseen']}"],
+    ]  # fmt: skip
+    return table("outcome,sets", rows)
+
+
+def within_u(*founds: dict) -> str:
+    cases = [case for found in founds for case in found["cases"]]
     rows = [
         [
             r["case"],
@@ -275,9 +292,9 @@ def within_u(found: dict) -> str:
             _of(r["jointly_beyond_5_percent"]) if "largest_distance" in r else "",
             f"{r['largest_distance']:.1f}" if "largest_distance" in r else "",
         ]
-        for r in found["cases"]
+        for r in cases
     ]
-    for name, r in found["measured"].items():
+    for name, r in founds[0]["measured"].items():
         n = len(r["pulls"])
         inside = sum(abs(pull) <= 2.0 for pull in r["pulls"].values())
         p = f"p = {r['chance']:.2g}"
@@ -455,11 +472,12 @@ TABLES: dict[str, tuple[Callable[..., str], tuple[str, ...]]] = {
             large_sizes,
             declared_sizes,
             smallest_sizes,
-            within_u,
+            aliases,
             practice,
             speed,
         )
     },
+    "within_u": (within_u, ("within_u", "within_u_new")),
     "power_fresh": (power_made, ("power_fresh",)),
     "power_instruments_new": (power_made, ("power_new",)),
     "batch": (batch, ("batch", "batch_gpu")),

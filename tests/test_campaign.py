@@ -1,7 +1,9 @@
 """Identification in batches, virtual calibration, and the GUM through the identification."""
 
 import dataclasses
+import os
 import re
+import signal
 
 import equinox as eqx
 import jax
@@ -319,3 +321,46 @@ def test_models_must_belong_together(known):
         monte_carlo(tracker.model, tracker.model, tracker.plan, draws=1)
     with pytest.raises(TypeError, match=r"quantities: found <class .*such as ParameterErrors\(\)"):
         monte_carlo(fit, fit, tracker.plan, quantities=[ParameterErrors])  # pyright: ignore
+
+
+# --- on a cluster ---
+
+
+@pytest.mark.slow
+def test_a_cluster_gives_the_same_draws_also_where_a_worker_ends(known, tmp_path):
+    """Bit for bit those of one process; one of two workers is killed after the first block."""
+    distributed = pytest.importorskip("distributed")
+    it = known["laser_tracker"]
+    given = {"draws": 6500, "seed": 3, "quantities": [ParameterErrors(), VolumetricErrors(it.plan)]}
+    alone = monte_carlo(it.model, it.model, it.plan, **given)
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+        ) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        pids = client.run(os.getpid)
+
+        def kill(done, total):
+            if pids:
+                os.kill(pids.popitem()[1], signal.SIGKILL)
+                pids.clear()
+
+        found = monte_carlo(
+            it.model, it.model, it.plan, **given, client=client, chunk=1, progress=kill
+        )
+        assert not pids
+        held = client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks))
+        assert held <= 2
+    for name in ("mean", "covariance", "minimum", "maximum", "values"):
+        np.testing.assert_array_equal(getattr(found.ensemble, name), getattr(alone.ensemble, name))
+
+
+def test_a_cluster_without_workers_is_refused(known):
+    class Empty:
+        def nthreads(self):
+            return {}
+
+    it = known["laser_tracker"]
+    with pytest.raises(ValueError, match="client: found no worker"):
+        monte_carlo(it.model, it.model, it.plan, draws=100, client=Empty())

@@ -516,6 +516,22 @@ def uncertainty(
             metavar="N", min=1, max=2, help="Significant digits required of a standard uncertainty."
         ),
     ] = 1,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            min=1,
+            help="Processes with one core each that compute the draws (extra cluster), instead of "
+            "threads of this one.",
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Scheduler of a Dask cluster, tcp://HOST:PORT, whose workers compute the draws.",
+        ),
+    ] = None,
     override: Override = None,
     trust: Trust = False,
     pdf: Pdf = False,
@@ -527,6 +543,7 @@ def uncertainty(
     is complete.
     """
     start()
+    from .cluster import client_of
     from .uncertainty import run_virtual
 
     browser = browser_for(pdf)
@@ -537,18 +554,22 @@ def uncertainty(
         for text in texts or []:
             command += [option, text]
     command += [*["--trust"] * trust, *["--pdf"] * pdf]
-    done = run_virtual(
-        setup,
-        out,
-        draws=draws,
-        effects=with_ or [],
-        seed=seed,
-        noise_factor=noise_factor,
-        digits=2 if digits == 2 else 1,
-        overrides=override or [],
-        trust=trust,
-        command=shlex.join(command),
-    )
+    command += ["--workers", str(workers)] * (workers is not None)
+    command += ["--scheduler", scheduler] if scheduler is not None else []
+    with client_of(workers, scheduler) as client:
+        done = run_virtual(
+            setup,
+            out,
+            draws=draws,
+            effects=with_ or [],
+            seed=seed,
+            noise_factor=noise_factor,
+            digits=2 if digits == 2 else 1,
+            overrides=override or [],
+            trust=trust,
+            command=shlex.join(command),
+            client=client,
+        )
     say(done.sentence)
     say(f"Report: {done.page}")
     print_with(browser, done.page)

@@ -42,6 +42,7 @@ def run_virtual(
     overrides: Sequence[str],
     trust: bool = False,
     command: str,
+    client: Any = None,
 ) -> Done:
     """Predict the uncertainty of a study's plan and write the report to `out`.
 
@@ -75,6 +76,7 @@ def run_virtual(
             folder=folder,
             progress=progress,
             step=step,
+            client=client,
         )
         step("writing the report")
         seconds = time.perf_counter() - began

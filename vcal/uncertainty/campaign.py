@@ -9,6 +9,7 @@ population of machines.
 
 import hashlib
 import os
+import uuid
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
@@ -30,6 +31,7 @@ from ..model.forward import Model, Shapes
 from ..model.simulate import draw, prepare
 from ..numerics.arrays import Array
 from ..numerics.compiled import jit_outermost
+from .cluster import InCluster
 from .ensemble import Ensemble
 from .intervals import Kind
 from .outputs import Field, Output
@@ -185,6 +187,7 @@ def monte_carlo(
     folder: Path | str | None = None,
     progress: Progress = lambda done, total: None,
     programs: Programs | None = None,
+    client: Any = None,
 ) -> Campaign:
     """Draw machines and instruments from `truth`, measure them on `plan`, and identify `fit`.
 
@@ -203,6 +206,9 @@ def monte_carlo(
     everything that is equal in all draws is a constant to the compiler, and long campaigns run a
     little faster.
 
+    With a `distributed.Client` as `client`, the workers of its Dask cluster compute the blocks,
+    with the same result; `programs` is then not used.
+
     The other arguments are those of `vcal.uncertainty.streaming`. Raises as `virtual_pair` and
     `stream` do, and `TypeError` for a quantity that is no `Quantity`.
     """
@@ -216,8 +222,13 @@ def monte_carlo(
     measures = tuple(q.measure(pair) for q in quantities)
     given = [o for m in measures for o in m.outputs]
     outputs = [o for o in given if isinstance(o, Output)]
-    evaluate = _Evaluate(pair, measures, seed, tolerance, programs)
+    here = _Evaluate(pair, measures, seed, tolerance, programs)
     local = jax.local_devices()
+    evaluate, devices = here, local if len(local) > 1 else ()
+    if client is not None:
+        given_to_all = (truth, fit, plan, tuple(quantities), seed, tolerance, shapes, noise_factor)
+        evaluate = InCluster(client, _evaluate_in_worker, given_to_all, uuid.uuid4().hex)
+        devices = evaluate.slots
     result = stream(
         evaluate,
         draws,
@@ -226,9 +237,9 @@ def monte_carlo(
         block=_BLOCK,
         chunk=chunk,
         folder=folder,
-        fingerprint=None if folder is None else evaluate.identity(),
+        fingerprint=None if folder is None else here.identity(),
         progress=progress,
-        devices=local if len(local) > 1 else (),
+        devices=devices,
         coverage=coverage,
         kind=kind,
         digits=digits,
@@ -236,6 +247,24 @@ def monte_carlo(
     )
     names = tuple(label for o in outputs for label in o.labels)
     return Campaign(result, pair, names, seed)
+
+
+def _evaluate_in_worker(
+    truth: Model,
+    fit: Model,
+    plan: Plan,
+    quantities: Sequence[Quantity],
+    seed: int,
+    tolerance: float,
+    shapes: Shapes | None,
+    noise_factor: float,
+) -> "_Evaluate":
+    """The outputs of draws, on a worker of a cluster that has one core for each of its threads."""
+    pair = virtual_pair(truth, fit, plan, shapes=shapes, noise_factor=noise_factor)
+    measures = tuple(q.measure(pair) for q in quantities)
+    found = _Evaluate(pair, measures, seed, tolerance)
+    found.workers = 1
+    return found
 
 
 def side_by_side(function: Any, together: int) -> Any:

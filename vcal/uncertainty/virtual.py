@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -203,6 +203,7 @@ def virtual_calibration(
     folder: Path | str | None = None,
     progress: Progress = lambda done, total: None,
     step: Callable[[str], None] = lambda text: None,
+    client: Any = None,
 ) -> VirtualCalibration:
     """The uncertainty of a plan before measuring, with machines from `truth` and the model `fit`.
 
@@ -235,6 +236,7 @@ def virtual_calibration(
         chunk=chunk,
         folder=folder,
         progress=progress,
+        client=client,
     )
     step("propagating uncertainty (GUM)")
     pair = campaign.pair

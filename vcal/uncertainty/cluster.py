@@ -1,0 +1,127 @@
+"""Blocks of draws on the workers of a Dask cluster.
+
+What travels to a worker are the models, the plan and the quantities, once for every campaign; what
+comes back are the outputs of a block. A worker compiles for itself. The blocks are those of one
+process, in the same order of addition, and so are the results, bit for bit, on processors of one
+kind. A block whose worker ends is computed by another one.
+"""
+
+import contextlib
+import sys
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Mapping
+from types import ModuleType
+from typing import Any
+
+import jax
+import numpy as np
+
+TRIES = 3
+"""How often a block is begun whose worker ends."""
+_AHEAD = 2
+"""Blocks that are submitted for every thread of the workers, so that none waits for the next."""
+_KEPT = 4
+"""Most campaigns whose compiled programs a worker keeps."""
+
+Evaluate = Callable[[int, int], Mapping[str, np.ndarray]]
+_made: OrderedDict[str, Evaluate] = OrderedDict()
+_making = threading.Lock()
+
+
+class InCluster:
+    """The outputs of a range of draws, as `vcal.uncertainty.campaign` computes them, by the workers
+    of a cluster.
+
+    `make(*arguments)` is called once in every worker and returns the function of a range that does
+    the work; `name` identifies the campaign. `slots` is what `stream` takes as its devices.
+    """
+
+    def __init__(self, client: Any, make: Callable[..., Evaluate], arguments: tuple, name: str):
+        threads = sum(client.nthreads().values())
+        if not threads:
+            raise ValueError(
+                "client: found no worker, expected at least one; start workers and wait for them "
+                "(client.wait_for_workers)"
+            )
+        self.client, self.name = client, name
+        self.slots = range(_AHEAD * threads)
+        with _by_value(arguments):
+            self.work = client.scatter(_Work(make, arguments, name), hash=False, broadcast=True)
+
+    def __call__(self, first: int, count: int, device: Any = None) -> Mapping[str, np.ndarray]:
+        del device
+        future = self.client.submit(
+            _computed, self.work, first, count, pure=False, retries=TRIES - 1
+        )
+        return _Coming(future)
+
+
+class _Work:
+    """What a worker needs to compute blocks of one campaign."""
+
+    def __init__(self, make: Callable[..., Evaluate], arguments: tuple, name: str):
+        self.make, self.arguments, self.name = make, arguments, name
+
+
+def _computed(work: _Work, first: int, count: int) -> dict[str, np.ndarray]:
+    """The outputs of a block; runs in a worker."""
+    with _making:
+        if work.name not in _made:
+            jax.config.update("jax_enable_x64", True)
+            _made[work.name] = work.make(*work.arguments)
+            while len(_made) > _KEPT:
+                _made.popitem(last=False)
+        evaluate = _made[work.name]
+    return {name: np.asarray(value) for name, value in evaluate(first, count).items()}
+
+
+class _Coming(Mapping[str, np.ndarray]):
+    """The outputs of a block that is being computed; waits for them when they are read."""
+
+    def __init__(self, future: Any):
+        self._future, self._found = future, None
+
+    def _all(self) -> Mapping[str, np.ndarray]:
+        if self._found is None:
+            self._found = self._future.result()
+            self._future.release()
+        return self._found
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self._all()[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._all())
+
+    def __len__(self) -> int:
+        return len(self._all())
+
+
+@contextlib.contextmanager
+def _by_value(arguments: tuple) -> Iterator[None]:
+    """Send classes of the user's own as they are: a worker cannot import their files."""
+    import cloudpickle
+
+    sent = [module for module in _own_modules(arguments)]
+    for module in sent:
+        cloudpickle.register_pickle_by_value(module)
+    try:
+        yield
+    finally:
+        for module in sent:
+            cloudpickle.unregister_pickle_by_value(module)
+
+
+def _own_modules(arguments: tuple) -> list[ModuleType]:
+    """Modules of effects and instruments that are not those of vcal."""
+    kinds = set()
+    for one in arguments:
+        kinds |= {type(effect) for effect in getattr(one, "effects", ())}
+        kinds |= {type(one), type(getattr(one, "instrument", None))}
+    names = {kind.__module__ for kind in kinds}
+    return [
+        sys.modules[name]
+        for name in sorted(names)
+        if name in sys.modules and name.split(".")[0] not in ("vcal", "builtins", "numpy", "jax")
+    ]
