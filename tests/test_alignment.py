@@ -62,6 +62,7 @@ def test_the_first_order_and_the_exact_alignment_differ_to_second_order():
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-4, 0.08])
+@pytest.mark.thorough
 def test_the_differentiable_form(angle):
     found, target = cloud(12)
     target = target @ Rotation.from_rotvec([angle, -angle, 0.0]).as_matrix().T + 0.01

@@ -166,6 +166,7 @@ def test_modified_rows_in_a_study(tmp_path):
         load_study(folder, {"machine.convention": "standard"})
 
 
+@pytest.mark.thorough
 def test_moments_of_gravity_for_any_direction():
     up = np.array([0.3, -0.4, 1.2])
     chain = chain_from_dh(si(COLUMN), up=up)

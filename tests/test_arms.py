@@ -96,6 +96,7 @@ def test_a_tool_whose_mass_is_off_the_flange(joint, tmp_path):
 
 
 @pytest.mark.parametrize("order", [200.0, pytest.param(7.3, marks=pytest.mark.thorough)])
+@pytest.mark.thorough
 def test_the_gear_of_a_joint_has_its_name_and_pitch(order, tmp_path):
     effect = {"effect": "gear_ripple", "joint": 2, "amplitude_urad": 60, "phase": 1.0}
     closure = closed(tmp_path / "arm", effect | {"pitch_deg": 360.0 / order})

@@ -270,6 +270,7 @@ def test_tools_by_touch():
 # --- the space of designs ---
 
 
+@pytest.mark.thorough
 def test_balls_stay_inside_the_travel():
     poses = design(8)
     space = ArraySpace(poses, TRAVEL, across=(0.06, 0.03), along=True, tool=TOOL)

@@ -109,6 +109,7 @@ def test_as_good_as_nominal_in_little_more_than_half_the_time(given):
 # --- several families ---
 
 
+@pytest.mark.thorough
 def test_families_by_hand(given):
     """Amplitudes scale the Gram matrix of their unknowns; other waves are other functions."""
 

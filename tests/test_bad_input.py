@@ -392,6 +392,7 @@ TABLES = {
 }
 
 
+@pytest.mark.thorough
 def test_what_was_measured_again_is_no_repeated_row(small_tracker_study):
     """In a plan, where something tells the rows apart, and where a coarse resolution makes some
     readings agree; not where none of them ever differs.
@@ -1197,6 +1198,7 @@ def test_a_widened_prior_is_not_what_is_expected(small_tracker_study):
     assert any("range_scale: scale_um_per_m = " in note for note in closure.notes)
 
 
+@pytest.mark.thorough
 def test_a_base_may_be_measured_once(small_arm_study):
     for k, c in itertools.product((1, 2, 3), "xyz"):
         first = (small_arm_study / "data.csv").read_text().splitlines()[:2]

@@ -143,6 +143,7 @@ def test_an_arm_came_from_where_it_was_not_seen(arm):
     assert unknown.sum() == 1
 
 
+@pytest.mark.thorough
 def test_what_was_left_out_is_told(arm, capsys):
     study, closure, rows = arm
     said = "left out: 20 rows (3, 7, 11, 15, 19, ...) of data.csv, as a reading is blank"
@@ -198,6 +199,7 @@ def test_a_ball_that_was_not_found_in_simulated_data(small_ball_study, tmp_path)
     assert load_study(tmp_path / "made").measurement.blank == {"data.csv": (4, 9)}
 
 
+@pytest.mark.thorough
 def test_a_pose_that_was_not_seen_at_all(small_ball_study):
     """Its six unknowns are none then."""
     before = load_study(small_ball_study)
@@ -206,6 +208,7 @@ def test_a_pose_that_was_not_seen_at_all(small_ball_study):
     assert len(study.model.entries) == len(before.model.entries) - 6
 
 
+@pytest.mark.thorough
 def test_the_ends_of_a_circle(tmp_path):
     case = make_case("r_test", seed=3, plan={"samples": 60, "levels": (4.5,)})
     folder = write_study(tmp_path / "circles", case)

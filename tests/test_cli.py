@@ -19,6 +19,7 @@ from typer.testing import CliRunner
 
 import vcal
 import vcal.cli.show
+import vcal.fleet.one_study
 import vcal.report
 import vcal.study.close_study
 from vcal.cli import app
@@ -258,6 +259,7 @@ def test_check_names_what_goes_together(small_tracker_study):
     assert shown.count("confounded") == 2
 
 
+@pytest.mark.thorough
 def test_check_says_where_times_run_backwards(small_tracker_study):
     data = small_tracker_study / "data.csv"
     table = dict(read_table(data, []))
@@ -770,7 +772,7 @@ def test_interrupted_with_something_to_tell(tmp_path, small_tracker_study, monke
 
     closure = SimpleNamespace(interrupted=True, found="what is known")
     monkeypatch.setattr(vcal.study.close_study, "close_loop", lambda *args, **kwargs: closure)
-    monkeypatch.setattr(vcal.report, "write_report", write)
+    monkeypatch.setattr(vcal.fleet.one_study, "write_report", write)
     monkeypatch.setattr(vcal.cli.show, "show_closure", lambda closure: print("a sentence"))
     out = tmp_path / "out"
     shown = run("loop", small_tracker_study, "--out", out, code=130)

@@ -44,6 +44,7 @@ def weighed():
     return propagate_distributions(mass, MASS, 1_000_000, seed=1)
 
 
+@pytest.mark.thorough
 def test_jcgm_101_9_3_first_order_fails_and_second_order_passes(weighed):
     first = compare(propagate(mass, MASS), weighed, digits=1)
     second = compare(propagate(mass, MASS, order=2), weighed, digits=1)
@@ -92,6 +93,7 @@ def test_inputs_that_cancel_leave_rounding_and_nothing_to_judge():
     assert found.verdicts == ("passed",) and found.delta[0] < 1e-12
 
 
+@pytest.mark.thorough
 def test_jcgm_101_9_2_normal_passes_and_a_dominant_rectangle_fails():
     def several(values):
         x, y = values["x"], values["y"]
@@ -134,6 +136,7 @@ def test_jcgm_101_9_4_no_interval_of_the_gum_stands_at_the_origin():
     assert second.d_low[0] == pytest.approx(48.0, abs=0.2)
 
 
+@pytest.mark.thorough
 def test_scale_of_t_makes_the_gum_right_for_one_t():
     # Standard deviation and coverage factor of t together would count the tails twice.
     inputs = Inputs({"x": StudentT(10.0, 2.0, 5.0)})
@@ -256,6 +259,7 @@ def test_unbounded_intervals_count():
         (np.zeros(3), np.ones(3), np.zeros(2), "found a truth of shape"),
     ],
 )
+@pytest.mark.thorough
 def test_intervals_that_make_no_sense(low, high, truth, message):
     with pytest.raises(ValueError, match=message):
         attained_coverage(low, high, truth)

@@ -90,6 +90,7 @@ def test_what_corrects_an_effect_is_looked_for_beside_it(folder, request, tmp_pa
     assert not set(MATRIX) & {one.effect for one in missing}
 
 
+@pytest.mark.thorough
 def test_circles_are_told_apart_by_their_data_set(two_runs, tmp_path):
     """Runs of one number in two data sets are two circles, of paces of their own."""
     (slow, fast), both = (

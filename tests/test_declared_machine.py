@@ -190,6 +190,7 @@ def test_station_on_the_other_side(tmp_path):
     assert "The declared machine, XZ, seen from −Y. Chain: workpiece → X → bed → Y → Z" in alt
 
 
+@pytest.mark.thorough
 def test_two_data_sets_have_their_own_stations(tmp_path):
     """Each with its own tool, by their names."""
     tracker(tmp_path, (-900, 300, 500))
@@ -236,6 +237,7 @@ def test_every_instrument_has_its_marks(kind):
         }  # fmt: skip
 
 
+@pytest.mark.thorough
 def test_arm_on_a_column(tmp_path):
     """The tracker is free: it is shown where the readings place it."""
     q = np.random.default_rng(0).uniform([0, *[-1] * 6], [2, *[1] * 6], (40, 7))
@@ -347,6 +349,7 @@ def test_many_points_are_thinned(tmp_path):
 # --- the pages ----------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_check_writes_a_page(tmp_path):
     folder, out = tracker(tmp_path / "study", (-900, 300, 500)), tmp_path / "out"
     done = CliRunner().invoke(app, ["check", str(folder), "--out", str(out)])

@@ -67,6 +67,7 @@ def test_sizes_that_are_declared_three_times_too_small_do_not_fit(factor, tracke
     assert 0.6 / factor < by_kind["translation"] < 1.6 / factor
 
 
+@pytest.mark.thorough
 def test_the_statistic_has_the_chi_square_distribution(tracker):
     """Over machines drawn from the priors: mean n and variance 2 n of the linearised problem."""
     fit = identify(tracker.model, noisy(tracker, 2), room=tracker.room)

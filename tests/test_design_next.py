@@ -92,6 +92,7 @@ def independent_lambda(model, first, second, plan):
     return float((left**2).sum())
 
 
+@pytest.mark.thorough
 def test_conditions_are_told_as_columns_of_the_plan(few_points):
     study, task = task_of(few_points)
     wanted = parse_rivals(["backlash:Y", "scale_growth:Y"], study)

@@ -256,6 +256,7 @@ def keys(study):
     return [f"{e.key} {e.parameter.name}" for e in study.model.entries if "geometric" not in e.key]
 
 
+@pytest.mark.thorough
 def test_coordinates_that_a_circle_shows(tmp_path):
     study = load_study(write(tmp_path / "one", circle()))
     assert keys(study) == ["bar_centre 0.X", "bar_centre 0.Y", "bar_length error"]

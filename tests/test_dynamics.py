@@ -101,6 +101,7 @@ def test_modes_of_two_masses():
     np.testing.assert_allclose(kept, others, rtol=1e-9, atol=1e-3)
 
 
+@pytest.mark.thorough
 def test_matrices_depend_on_the_position():
     """The carriages of an upper slide move with it over the lower one."""
     lower = one_slide().bodies[0]
@@ -252,6 +253,7 @@ def test_circles_settle():
 @pytest.mark.parametrize(
     "delay", [0.3e-3, *(pytest.param(d, marks=pytest.mark.thorough) for d in (0.0, 1.0e-3, 1.6e-3))]
 )
+@pytest.mark.thorough
 def test_sampled_frequency_response(delay):
     """The sum over the harmonics of the sampling is the steady state of the exact matrices."""
     given = one_slide(loss=3e-4)
@@ -396,6 +398,7 @@ def test_a_loop_without_damping():
         check_stable(loop, damped)
 
 
+@pytest.mark.thorough
 def test_settles_agrees_with_the_poles():
     """On both sides of the gain at which the largest pole leaves the unit circle."""
     s = assemble(screw_slide())
@@ -496,6 +499,7 @@ def test_set_points_of_another_shape(position, velocity):
     assert run(loop, np.zeros((0, 1)), np.zeros((0, 1))).scale.shape == (0, 1)
 
 
+@pytest.mark.thorough
 def test_places_and_circles_of_another_number_of_axes():
     """Also in a program: shapes are known there."""
     machine = screw_slide()

@@ -202,6 +202,24 @@ def test_mistakes_of_the_command(tmp_path, study):
         close_fleet([], out)
 
 
+def test_a_cluster_that_is_not_there(study, tmp_path, monkeypatch):
+    pytest.importorskip("distributed")
+
+    def silent(address, timeout):
+        raise OSError(f"timed out after {timeout:g} s")
+
+    monkeypatch.setattr("distributed.Client", silent)
+    out = tmp_path / "out"
+    for command in (("loop", study), ("uncertainty", study)):
+        said = refused(*command, "--out", out, "--scheduler", "tcp://there:8786")
+        assert "option --scheduler: found 'tcp://there:8786'" in said
+        assert "start one with dask scheduler" in said and not out.exists()
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    said = refused("uncertainty", study, "--out", out, "--workers", 2)
+    assert "option, --workers: found no package distributed" in said
+    assert "pip install 'vcal[cluster]'" in said
+
+
 @pytest.mark.slow
 @posix
 def test_killed_broken_and_interrupted_studies_lose_nothing(study, tmp_path, programs):

@@ -392,6 +392,7 @@ def test_one_gross_reading_among_those_that_are_only_foretold(tmp_path):
 # --- noise that is smaller than declared ---------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_noise_declared_too_large_makes_no_error_of_the_machine(tracker):
     """Priors that count for too much hold the fit away from what is true, by many times the noise
     that there is.
@@ -435,6 +436,7 @@ def test_readings_of_another_simulation_without_any_noise(instrument, size, tmp_
         assert effect.parameters[0][1] == pytest.approx(size, rel=5e-3)
 
 
+@pytest.mark.thorough
 def test_stray_readings_among_those_that_are_quieter_than_declared(tmp_path):
     """They are told by the noise that there is."""
     case = make_case("ball_array", seed=2, noise_factor=0.05)
@@ -525,6 +527,7 @@ def test_what_is_named_is_significant_itself(tracker):
     assert max(own["X"], own["Z"]) > 0.01
 
 
+@pytest.mark.thorough
 def test_what_looking_everywhere_costs_is_paid_once(tracker):
     """An effect at the limit of what can be found is named where its p-value, which has paid for
     all that was tried, says so; its evidence does not have to pay for all kinds of effects again.

@@ -107,6 +107,7 @@ def test_check_error_is_at_the_bound(kind, seed, tmp_path):
     assert fit.chi2 / fit.dof == pytest.approx(bound.chi2_dof, rel=0.02)
 
 
+@pytest.mark.thorough
 def test_uncertainties_cover_the_truth(tracker):
     """Machines from their prior, measured with noise: (estimate - truth) has the covariance."""
     it, rng = tracker, np.random.default_rng(5)

@@ -231,6 +231,7 @@ def test_a_list_without_a_header(tmp_path):
     same(table(tmp_path / "study")["range_mm"], polar(seen)[0])
 
 
+@pytest.mark.thorough
 def test_several_lists_are_several_data_sets(tmp_path):
     positions, seen = tracker_case()
     other = seen @ Rotation.from_euler("z", 70, degrees=True).as_matrix() + [500.0, 0.0, 20.0]
@@ -349,6 +350,7 @@ def test_a_urdf_file_is_the_machine_of_a_table(tmp_path):
     assert (out / "cell.urdf").read_bytes() == urdf.read_bytes()
 
 
+@pytest.mark.thorough
 def test_a_urdf_file_alone_becomes_a_plan(tmp_path):
     urdf = write(tmp_path / "cell.urdf", [URDF])
     out = tmp_path / "study"

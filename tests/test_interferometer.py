@@ -217,6 +217,7 @@ def test_zero_of_every_run():
     assert set(folds) == set(range(5)) and not apart
 
 
+@pytest.mark.thorough
 def test_slope_is_free_or_known_or_none():
     names = {}
     for value in ("0", "0.5", "free"):
@@ -475,6 +476,7 @@ def test_other_instruments_have_no_positioning_tests():
 # --- design --------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_a_design_keeps_the_lines(tmp_path):
     study = vcal.load_study(
         STARTS / "interferometer",

@@ -240,6 +240,7 @@ def test_larger_noise_is_told_but_not_named(tracker):
     assert sigma[1][-1] > 1.15 * sigma[0][-1]  # of the station, which has no prior
 
 
+@pytest.mark.thorough
 def test_search_can_be_restricted(backlash):
     only = [CATALOGUE["thermal_tilt"], CATALOGUE["range_scale"]]
     closure = closed(backlash, effects=only)
@@ -259,6 +260,7 @@ def test_search_can_be_restricted(backlash):
     assert none.passed_over[0].reason == "no more effects may be added (max_effects)"
 
 
+@pytest.mark.thorough
 def test_an_effect_below_alpha_is_not_named(tracker):
     weak = noisy(tracker, 4, tracker.effect("backlash:Y:size_um=5"))
     p = closed(tracker, weak).screenings[0].p_value

@@ -332,6 +332,7 @@ def test_residual_and_gradient_against_finite_differences(catalogue):
         )
 
 
+@pytest.mark.thorough
 def test_phasors_of_circles_with_one_speed(catalogue):
     _, _, loop = catalogue
     omega, asked = set_phasors(circle_set(RADIUS_M, LEVELS), AXES)
@@ -404,6 +405,7 @@ def test_errors_of_the_probes_are_eliminated(catalogue, truth):
         assert cost == pytest.approx(least + (bare[0] ** 2).sum() + float(z @ z), rel=digits)
 
 
+@pytest.mark.thorough
 def test_noise_of_scales_that_is_in_the_error_too(catalogue):
     """What is left at the truth scatters independently, by one, however noisy the scales are."""
     machine, controller, loop = catalogue

@@ -89,6 +89,7 @@ def sum_of_rectangles(half):
     return lambda x: float(np.sum(weights * np.maximum(x + knots, 0.0) ** len(half)) / scale)
 
 
+@pytest.mark.thorough
 def test_9_2_2_four_normal_inputs():
     found = propagate_distributions(total, four(lambda s: Normal(0.0, s)))
     assert found.labels == ("y",) and found.kept == "exact" and found.draws == 1_000_000
@@ -151,6 +152,7 @@ def mass_exact():
     return mean, u, lambda x: np.sum(share * special.ndtr((x - centre) / width))
 
 
+@pytest.mark.thorough
 def test_9_3_mass_calibration():
     normal, rest = list(MASS.items())[:2], list(MASS.items())[2:]
     inputs = Inputs(

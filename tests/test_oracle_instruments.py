@@ -262,6 +262,7 @@ CLEAN = [
 
 
 @pytest.mark.parametrize(("kind", "options"), CLEAN)
+@pytest.mark.thorough
 def test_a_clean_case_is_noise_to_vcal(kind, options, tmp_path):
     """With noise chi2 is that of noise, without it next to nothing is left."""
     for noise, low, high in ((1.0, 0.85, 1.15), (0.0, 0.0, 0.02)):

@@ -151,6 +151,7 @@ def test_a_file_that_is_only_named_is_not_run(
     assert not (small_tracker_study / "was_run").exists() and not (tmp_path / "out").exists()
 
 
+@pytest.mark.thorough
 def test_a_file_that_is_trusted_is_run(small_tracker_study):
     (small_tracker_study / "own.py").write_text(RUNS + OWN, encoding="utf-8")
     own = ("--set", "model.effects_file=own.py")

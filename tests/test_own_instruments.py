@@ -253,6 +253,7 @@ def test_what_fails_later_is_told_in_one_line(small, tmp_path):
 # --- several --------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_studies_stay_apart(tmp_path):
     """Of one kind in different files; read again and again; what they register is forgotten."""
     again = "from vcal.instruments.base import register\n" + DISC.replace(
@@ -322,6 +323,7 @@ def test_a_file_of_effects_and_instruments(small):
     assert type(study.instrument.effects(study.plan)[0]) is study.catalogue["disc_centre"]
 
 
+@pytest.mark.thorough
 def test_data_sets_with_files_of_their_own(small):
     columns = circles(PLANES[:1], 12)
     write_csv(small / "other.csv", columns | {"x_mm": columns["x_mm"] + 50.0})

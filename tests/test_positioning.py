@@ -110,6 +110,7 @@ def test_uncertainties_by_hand():
     assert set(positioning(np.linspace(0, 2, 4), up, -up).u.values()) == {0.0}
 
 
+@pytest.mark.thorough
 def test_uncertainty_of_means_agrees_with_monte_carlo():
     """The parts of environment and scale, by drawing both."""
     rng = np.random.default_rng(2)

@@ -149,6 +149,7 @@ def test_a_joint_distribution_counts_jointly_in_the_gum(tracker, screw):
     np.testing.assert_allclose(contribution, u[moved], rtol=0.06)
 
 
+@pytest.mark.thorough
 def test_a_shape_parameter_in_its_own_unit(tracker, screw):
     effect = dataclasses.replace(screw, priors=(Prior("pitch", Uniform(19.0, 21.0)),))
     model = tracker.model.with_effects(effect)
@@ -158,6 +159,7 @@ def test_a_shape_parameter_in_its_own_unit(tracker, screw):
     assert stats.kstest((np.asarray(drawn) * 1e3 - 19.0) / 2.0, "uniform").pvalue > 1e-3
 
 
+@pytest.mark.thorough
 def test_the_fourier_family_is_uniform(tracker):
     geometric = next(e for e in tracker.model.effects if e.name == "geometric")
     theta = np.asarray(jax.vmap(Amplitudes.of([geometric]).sample)(KEYS))
@@ -168,6 +170,7 @@ def test_the_fourier_family_is_uniform(tracker):
     np.testing.assert_allclose(theta.std(0), 1.0, atol=0.04)
 
 
+@pytest.mark.thorough
 def test_scatter_has_a_distribution_too(tracker):
     scatter = tracker.effect("repeatability:X")
     (p,) = scatter.amplitudes

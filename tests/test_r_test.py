@@ -243,6 +243,7 @@ def test_the_loop_names_the_matrix(study):
         assert abs(v - E[i, j]) < 4 * u
 
 
+@pytest.mark.thorough
 def test_what_a_missing_plane_leaves_open_is_told(tmp_path):
     """Nothing accelerates along Z: its column of the matrix is what was believed before."""
     s = load_study(write(tmp_path / "one", circles(planes=("XY",))))

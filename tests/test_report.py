@@ -334,6 +334,7 @@ def test_page_says_what_effects_of_one_data_set_are(closed):
     assert "property object" not in said and said.count(f"<td>{kind.summary}</td>") > 1
 
 
+@pytest.mark.thorough
 def test_page_says_where_doubt_is_part_of_the_uncertainty(closed, monkeypatch):
     _, study, closure = closed
     certain = dataclasses.replace(closure, alternatives=[])

@@ -132,6 +132,7 @@ def test_at_z_zero_the_points_see_no_rotation_of_y_and_z():
     assert rank.rank == np.linalg.matrix_rank(np.stack(columns, 1), tol=1e-9)
 
 
+@pytest.mark.thorough
 def test_points_measured_are_the_points():
     truth, _ = truth_and_fit(SMALL, FAMILY)
     still = jnp.zeros((SMALL.grid**2, len(truth.layout)))

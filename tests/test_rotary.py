@@ -156,6 +156,7 @@ def _save(path, header: str, rows) -> None:
 # --- kinematics -------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_pose_and_its_derivatives_are_those_of_the_matrices():
     rng, it = np.random.default_rng(1), chain()
     assert it.axes == tuple(AXES)

@@ -217,6 +217,7 @@ def test_steps_of_a_scan_count_as_many_trials_as_they_are_where_something_is_rar
     assert 0.008 < seldom < 0.016  # and 0.020
 
 
+@pytest.mark.thorough
 def test_corrected_p_of_a_scan_is_uniform_at_its_small_end(known):
     """Of draws other than those that the trials were told by: a scan of pitches in two axes."""
     it, parts = known["laser_tracker"], []

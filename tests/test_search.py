@@ -470,6 +470,7 @@ def test_a_wider_prior_replaces_a_declared_one(tracker):
 # --- what is told ---------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_a_declared_pitch_that_is_not_told_is_looked_for(tracker):
     """The solver alone ends in the valley in which it starts, of which a pitch has many."""
     pitch, size = 13.0, 8.0

@@ -72,6 +72,7 @@ def test_the_nominal_chain():
     assert chain_from_string("w U X b Y V Z t").axes == ("U", "V", "X", "Y", "Z")
 
 
+@pytest.mark.thorough
 def test_a_quill_is_identified(quill):
     study = load_study(quill)
     names = {entry.parameter.name for entry in study.model.entries}

@@ -60,6 +60,7 @@ def cost_at(it: Known, measurement: Measurement, shape: dict[str, float]) -> flo
     return fit.chi2 + float(fit.theta**2 @ fit.precision)
 
 
+@pytest.mark.thorough
 def test_at_an_end_of_the_scan_all_others_are_at_their_best(tracker):
     """A hump narrower than any that is looked for: the narrowest, with the amplitude and the centre
     that suit that, by scipy over the centre.

@@ -123,6 +123,7 @@ def test_a_perfect_machine_reads_nominal(tracker):
     np.testing.assert_allclose(points, np.asarray(plan.position) + [0, 0, -0.15], atol=1e-15)
 
 
+@pytest.mark.thorough
 def test_readings_are_those_of_the_forward_model(tracker):
     model, plan = tracker.model, tracker.plan
     found = simulate(model, plan, KEY)

@@ -198,6 +198,7 @@ def test_a_set_in_all_its_figures():
 # --- statuses ------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_converged_means_a_minimum_wherever_it_started():
     """From 100 starts spread over decades; the judge is the full Hessian, by automatic
     differentiation, in units of the columns of the Jacobian."""
@@ -289,6 +290,7 @@ def test_derivative_of_the_minimum(linear):
     np.testing.assert_allclose(slope, np.linalg.pinv(A), rtol=1e-8, atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_collinear_parameters_are_singular_until_a_prior_parts_them(linear):
     A, y = linear
     A = np.column_stack([A, A[:, 0] - A[:, 3]])
@@ -411,6 +413,7 @@ def test_units_change_nothing():
     np.testing.assert_allclose(other.value * units, found.value, rtol=1e-14)
 
 
+@pytest.mark.thorough
 def test_tolerance_is_in_standard_uncertainties():
     """A loose one takes fewer steps and stays within itself of the minimum; a residual whose noise
     is known to be larger than its scatter loosens it likewise."""

@@ -607,6 +607,7 @@ def clause_7_9_4(digits, p, most):
 
 
 @pytest.mark.parametrize(("digits", "p"), [(1, 0.95), (2, 0.9)])
+@pytest.mark.thorough
 def test_an_adaptive_campaign_ends_where_the_standard_ends_it(tmp_path, digits, p):
     outputs = [Output("y"), Output("z")]
     options = {"coverage": p, "digits": digits}

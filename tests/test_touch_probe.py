@@ -106,6 +106,7 @@ def test_a_sphere(tmp_path):
     assert "stylus_radius_unknown error" in keys(unknown)
 
 
+@pytest.mark.thorough
 def test_a_sphere_touched_at_its_equator_only(tmp_path):
     """Its height is not seen, and is no unknown."""
     study = load_study(write(tmp_path, columns_of(around(pole=False)[0])))
@@ -134,6 +135,7 @@ def shifted(study, values):
     return np.asarray(vcal.predict(study.model, study.plan, truth))[:, 0]
 
 
+@pytest.mark.thorough
 def test_readings_of_a_sphere(tmp_path):
     points, out = around()
     study = load_study(write(tmp_path, columns_of(points)))

@@ -78,6 +78,7 @@ def rms(study):
 # --- coordinates ---------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_coordinates_are_the_range_and_angles_that_they_came_from(polar, tmp_path):
     case, folder, study = polar
     own = rewritten(folder, tmp_path / "own", coordinates(case, in_tracker(case)))
@@ -149,6 +150,7 @@ def test_it_starts_from_anywhere(polar, tmp_path, place):
     assert remarks_of(study.instrument) == []
 
 
+@pytest.mark.thorough
 def test_several_stations_in_one_file(polar, tmp_path):
     """A second tracker with another azimuth zero reads half of the points: each has its pose."""
     case, folder, study = polar
@@ -178,6 +180,7 @@ def test_several_stations_in_one_file(polar, tmp_path):
 # --- tools ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_tools_are_a_table_or_a_file(ranges, tmp_path):
     case, folder, study = ranges
     names, offsets = case.stations.tool_names, 1e3 * case.stations.tools
@@ -246,6 +249,7 @@ def test_multilateration_reaches_the_bound(ranges):
     assert fit.chi2 / fit.dof == pytest.approx(1.0, abs=0.15)
 
 
+@pytest.mark.thorough
 def test_the_rank_is_known_before_measuring(ranges, tmp_path):
     """All 21 errors with three tools; with one on the axis of Z, rolls are not seen at all."""
     case, folder, study = ranges

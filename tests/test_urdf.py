@@ -97,6 +97,7 @@ def cell(tmp_path):
     return folder
 
 
+@pytest.mark.thorough
 def test_against_numpy(cell):
     study = load_study(cell)
     chain = study.chain

@@ -176,6 +176,7 @@ def test_a_column_of_a_machine_tool_is_clamped_at_either_end():
         ("w b Y X Z t", "Y", 0, "B"),
     ],
 )
+@pytest.mark.thorough
 def test_a_guideway_yields_to_the_position_of_the_slide_that_it_carries(
     text, carrier, lever, about
 ):

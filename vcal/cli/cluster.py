@@ -7,6 +7,9 @@ from typing import Any
 from ..errors import StudyError
 from ..study.messages import refusal
 
+_ANSWER_S = 10.0
+"""Time within which a scheduler has to answer, s."""
+
 
 def check_one(workers: int | None, scheduler: str | None) -> None:
     """Raise `StudyError` where both are given."""
@@ -40,12 +43,15 @@ def client_of(workers: int | None, scheduler: str | None) -> Iterator[Any]:
     with contextlib.ExitStack() as stack:
         if scheduler is None:
             cluster = LocalCluster(
-                n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None
+                n_workers=workers,
+                threads_per_worker=1,
+                processes=True,
+                dashboard_address=None,  # pyright: ignore[reportArgumentType]
             )
             yield stack.enter_context(Client(stack.enter_context(cluster)))
             return
         try:
-            client = stack.enter_context(Client(scheduler))
+            client = stack.enter_context(Client(scheduler, timeout=_ANSWER_S))
         except (OSError, ValueError) as error:
             raise StudyError(
                 f"option --scheduler: found {scheduler!r}, where no scheduler answers ({error}), "
