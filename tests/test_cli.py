@@ -22,7 +22,8 @@ import vcal.cli.show
 import vcal.fleet.one_study
 import vcal.report
 import vcal.study.close_study
-from vcal.cli import app
+from vcal import CATALOGUE
+from vcal.cli import app, start_studies
 from vcal.cli.session import cache_folder, listen, working
 from vcal.cli.start_studies import example
 from vcal.demo import starts
@@ -761,6 +762,17 @@ def test_interrupted_before_there_is_anything(tmp_path, small_tracker_study, mon
     shown = run("loop", small_tracker_study, "--out", tmp_path / "out", code=130)
     assert shown.stderr == "vcal: interrupted; nothing was written\n"
     assert not (tmp_path / "out").exists()
+
+
+def test_an_effect_is_shown_without_reading_all_bundled_studies(monkeypatch):
+    read, load = [], start_studies.load_study
+    monkeypatch.setattr(
+        start_studies, "load_study", lambda path, *more: read.append(path.name) or load(path, *more)
+    )
+    monkeypatch.setattr(start_studies, "_setup", start_studies._setup.__wrapped__)
+    found = start_studies.example(CATALOGUE["backlash"])
+    assert found is not None and found[0].name == "backlash"
+    assert len(read) == 1
 
 
 def test_interrupted_with_something_to_tell(tmp_path, small_tracker_study, monkeypatch):

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -69,11 +69,8 @@ def example(effect: type[Effect]) -> tuple[Effect, Setup] | None:
     effect is placed together with the others of the catalogue. None without any such place. Raises
     `RuntimeError` where JAX runs in float32.
     """
-    setups = [_setup(instrument) for instrument in starts()]
-    # Joint positions that are read back have effects of their own.
-    setups.append(_setup("reflectors", (("instrument.joints", "read"),)))
     wanting: list[tuple[Effect, Setup]] = []
-    for setup in setups:
+    for setup in _setups():
         for instance in _instances(effect, setup):
             if setup.plan.has(*instance.needs):
                 return instance, setup
@@ -83,13 +80,20 @@ def example(effect: type[Effect]) -> tuple[Effect, Setup] | None:
         for found in _instances(effect, fuller):
             if fuller.plan.has(*found.needs):
                 return found, fuller
-    for setup in setups:
+    for setup in _setups():
         others = (next(iter(_instances(one, setup)), None) for one in CATALOGUE.values())
         together = beside(setup, *(one for one in others if one is not None))
         for instance in _instances(effect, together):
             if setup.plan.has(*instance.needs):
                 return instance, together
     return None
+
+
+def _setups() -> Iterator[Setup]:
+    """The setups of the bundled studies; a study is read when it is asked for."""
+    yield from map(_setup, starts())
+    # Joint positions that are read back have effects of their own.
+    yield _setup("reflectors", (("instrument.joints", "read"),))
 
 
 def _instances(effect: type[Effect], setup: Setup) -> list[Effect]:
