@@ -24,7 +24,7 @@ import vcal.report
 import vcal.study.close_study
 from vcal import CATALOGUE
 from vcal.cli import app, start_studies
-from vcal.cli.session import cache_folder, listen, working
+from vcal.cli.session import listen, working
 from vcal.cli.start_studies import example
 from vcal.demo import starts
 from vcal.design.spaces import SPACES, settings_of
@@ -32,6 +32,7 @@ from vcal.instruments import INSTRUMENTS
 from vcal.instruments.laser_frame import SegmentSettings
 from vcal.loop.outcome.closure import Errors
 from vcal.loop.weighing.cross_validation import Rms
+from vcal.numerics.program_cache import cache_folder, keep_programs
 from vcal.plots import signatures
 from vcal.report.effects.page import page as effect_page
 from vcal.report.html.sheet import sheet
@@ -845,6 +846,26 @@ def test_where_compiled_programs_are_kept(monkeypatch, tmp_path):
         monkeypatch.setattr(sys, "platform", platform)
         monkeypatch.delenv("LOCALAPPDATA", raising=False)
         assert cache_folder().parent == tmp_path / expected / "vcal"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="permissions of POSIX")
+def test_programs_are_kept_in_the_users_own_folder_only(monkeypatch, tmp_path):
+    kept: dict[str, object] = {}
+    monkeypatch.delenv("VCAL_NO_CACHE")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    config = SimpleNamespace(jax_compilation_cache_dir=None, update=kept.__setitem__)
+    monkeypatch.setattr("vcal.numerics.program_cache.jax.config", config)
+    keep_programs()
+    folder = Path(str(kept.pop("jax_compilation_cache_dir")))
+    assert folder == cache_folder() and folder.stat().st_mode & 0o777 == 0o700
+    kept.clear()
+    folder.chmod(0o770)  # what another user has put there would be run
+    keep_programs()
+    assert not kept
+    folder.chmod(0o700)
+    monkeypatch.setattr(os, "getuid", lambda: folder.stat().st_uid + 1)
+    keep_programs()
+    assert not kept
 
 
 def test_ctrl_c_is_not_lost_in_the_garbage_collector():

@@ -29,8 +29,16 @@ __version__ = "0.1.0"
 
 
 def enable_float64() -> None:
-    """Switch JAX to float64, which every computation of vcal requires."""
+    """Switch JAX to float64, which every computation of vcal requires, and keep compiled programs
+    in the user's cache folder, so that the next process reads them.
+
+    The environment variable ``VCAL_NO_CACHE`` switches the cache off; a compilation cache of JAX
+    that is configured already is used instead.
+    """
+    from .numerics.program_cache import keep_programs
+
     _jax.config.update("jax_enable_x64", True)
+    keep_programs()
 
 
 __all__ = [

@@ -5,14 +5,11 @@ import os
 import signal
 import sys
 import threading
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
 
-import jax
 import typer
 
 from .. import enable_float64
@@ -25,8 +22,6 @@ MISTAKE = 2
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells expect it: 128 + SIGINT."""
 _CALLBACK = "_xla_gc_callback"
-_WORTH_KEEPING_S = 0.1
-"""Programs that compile in less time are not cached: reading them back would take as long."""
 
 
 def guarded(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -113,53 +108,8 @@ def leave(code: int) -> NoReturn:
 
 
 def start() -> None:
-    """Set JAX to float64 with a compilation cache, for the commands that compute."""
+    """Set JAX to float64 with a cache of compiled programs, for the commands that compute."""
     enable_float64()
-    enable_cache()
-
-
-def cache_folder() -> Path | None:
-    """The folder in which compiled programs are kept between runs; None without a cache.
-
-    It is ``vcal`` in ``XDG_CACHE_HOME``, or in the cache folder of the platform. The environment
-    variable ``VCAL_NO_CACHE`` switches the cache off.
-    """
-    if os.environ.get("VCAL_NO_CACHE"):
-        return None
-    try:
-        home = Path.home()
-    except RuntimeError:  # a user without a home directory
-        return None
-    if root := os.environ.get("XDG_CACHE_HOME"):
-        base = Path(root)
-    elif sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local")
-    elif sys.platform == "darwin":
-        base = home / "Library" / "Caches"
-    else:
-        base = home / ".cache"
-    return base / "vcal" / f"jax-{jax.__version__}"
-
-
-def enable_cache() -> None:
-    """Keep compiled programs in the user's cache folder, unless JAX is configured with another one.
-
-    A folder that cannot be written is ignored silently, as the cache only saves time.
-    """
-    folder = cache_folder()
-    if folder is None or jax.config.jax_compilation_cache_dir is not None:  # pyright: ignore[reportAttributeAccessIssue]
-        return
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return
-    if not os.access(folder, os.W_OK | os.X_OK):
-        return
-    # A truncated file, or one that another process is writing, is compiled again.
-    warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation")
-    jax.config.update("jax_compilation_cache_dir", str(folder))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", _WORTH_KEEPING_S)
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
 @contextmanager

@@ -6,6 +6,7 @@
 - `compiled`, `identity_cache`, `arrays`, `record`: compilation, caches, and the base classes of
   what may be traced;
 - `normal_draws`: normal numbers from explicit keys;
+- `program_cache`: compiled programs from process to process;
 - `processes`: jobs in processes of this computer.
 
 This package knows only jax, equinox, optimistix, numpy and scipy, and no other package of vcal.

@@ -1,0 +1,68 @@
+"""Compiled programs that are kept from process to process, in the cache folder of the user."""
+
+import os
+import stat
+import sys
+import warnings
+from pathlib import Path
+
+import jax
+
+_WORTH_KEEPING_S = 0.1
+"""Programs that compile in less time are not cached: reading them back would take as long."""
+
+
+def cache_folder() -> Path | None:
+    """The folder in which compiled programs are kept between runs; None without a cache.
+
+    It is ``vcal`` in ``XDG_CACHE_HOME``, or in the cache folder of the platform. The environment
+    variable ``VCAL_NO_CACHE`` switches the cache off.
+    """
+    if os.environ.get("VCAL_NO_CACHE"):
+        return None
+    try:
+        home = Path.home()
+    except RuntimeError:  # a user without a home directory
+        return None
+    if root := os.environ.get("XDG_CACHE_HOME"):
+        base = Path(root)
+    elif sys.platform == "win32":
+        base = Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local")
+    elif sys.platform == "darwin":
+        base = home / "Library" / "Caches"
+    else:
+        base = home / ".cache"
+    return base / "vcal" / f"jax-{jax.__version__}"
+
+
+def keep_programs() -> None:
+    """Keep compiled programs in the user's cache folder, unless JAX is configured with another one.
+
+    What is read from it is run. A folder that belongs to another user, or in which others may
+    write, is therefore not used. Like one that cannot be written it is ignored silently, as the
+    cache only saves time.
+    """
+    folder = cache_folder()
+    if folder is None or jax.config.jax_compilation_cache_dir is not None:  # pyright: ignore[reportAttributeAccessIssue]
+        return
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except OSError:
+        return
+    if not os.access(folder, os.W_OK | os.X_OK) or not _is_own(folder):
+        return
+    # A truncated file, or one that another process is writing, is compiled again.
+    warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation")
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", _WORTH_KEEPING_S)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+
+def _is_own(folder: Path) -> bool:
+    """Whether a folder belongs to the user and nobody else may write into it. Access lists of
+    Windows, where the folder is in the user's profile, are not read.
+    """
+    if not hasattr(os, "getuid"):
+        return True
+    found = folder.stat()
+    return found.st_uid == os.getuid() and not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
