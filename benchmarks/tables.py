@@ -138,13 +138,14 @@ def power_clean(found: dict) -> str:
 def power_instruments(found: dict) -> str:
     clean = {r["instrument"]: r for r in found["clean"] if r["group"] == "clean"}
     rows = []
-    for r in found["curves"]:
+    curves = [r for r in found["curves"] if r["instrument"] in clean]
+    for r in curves:
         right, wrong = r["curves"]["right name"], r["curves"]["wrong name"]
         cells = (f"{k}/{n}, {wrong[m][0]}" for m, (k, n, *_) in right.items())
         its = clean[r["instrument"]]
         alarms = f"{its['named']} + {its['unexplained']} of {its['sets']}"
         rows.append([r["instrument"], r["effects"], *cells, alarms, _number(its["seconds"])])
-    sizes = ",".join(found["curves"][0]["curves"]["right name"])
+    sizes = ",".join(curves[0]["curves"]["right name"])
     return table(f"instrument,effects,{sizes},clean: named + unexplained,median s per loop", rows)
 
 
@@ -480,6 +481,7 @@ TABLES: dict[str, tuple[Callable[..., str], tuple[str, ...]]] = {
     "within_u": (within_u, ("within_u", "within_u_new")),
     "power_fresh": (power_made, ("power_fresh",)),
     "power_instruments_new": (power_made, ("power_new",)),
+    "power_each_new": (power_instruments, ("power_new",)),
     "batch": (batch, ("batch", "batch_gpu")),
     "campaigns": (campaigns, ("batch", "campaigns_gpu")),
     **{f.__name__: (f, (f.__name__,)) for f in (strd, laser_frame, artefact_design, compensation)},
