@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from clusters import LEAKS, client_of
 from known import know_all
 from vcal import Measurement, StudyError, identify
 from vcal.identification.batch import identify_alone, identify_one, prepare_batch
@@ -326,19 +327,14 @@ def test_models_must_belong_together(known):
 # --- on a cluster ---
 
 
-@pytest.mark.slow
+@LEAKS
+@pytest.mark.thorough
 def test_a_cluster_gives_the_same_draws_also_where_a_worker_ends(known, tmp_path):
     """Bit for bit those of one process; one of two workers is killed after the first block."""
-    distributed = pytest.importorskip("distributed")
     it = known["laser_tracker"]
     given = {"draws": 6500, "seed": 3, "quantities": [ParameterErrors(), VolumetricErrors(it.plan)]}
     alone = monte_carlo(it.model, it.model, it.plan, **given)
-    with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
-        ) as cluster,
-        distributed.Client(cluster) as client,
-    ):
+    with client_of(2) as client:
         pids = client.run(os.getpid)
 
         def kill(done, total):

@@ -14,6 +14,7 @@ import jsonschema
 import pytest
 
 import vcal
+from clusters import LEAKS, client_of
 from fleet_work import square
 from test_cli import refused, run
 from vcal import StudyError, load_study
@@ -232,7 +233,7 @@ def test_killed_broken_and_interrupted_studies_lose_nothing(study, tmp_path, pro
     command = [sys.executable, "-m", "vcal", "loop", *studies, "--out", out, "--workers", "1"]
     begun = subprocess.Popen(
         [*map(str, command)], env=os.environ | programs, stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL, start_new_session=True,
+        stderr=subprocess.DEVNULL, start_new_session=True, preexec_fn=_interruptible,
     )  # fmt: skip
     try:
         _until(lambda: (out / "reports" / "a" / "report.json").exists())
@@ -255,6 +256,11 @@ def test_killed_broken_and_interrupted_studies_lose_nothing(study, tmp_path, pro
     assert alike[0] == alike[1] == alike[2]
 
 
+def _interruptible():
+    """A process in the background of a shell is started with SIGINT ignored."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def _until(happened, seconds=300.0):
     end = time.monotonic() + seconds
     while not happened():
@@ -267,19 +273,14 @@ def _numbers(path):
     return {k: v for k, v in content.items() if k not in ("seconds", "command", "sha256")}
 
 
+@LEAKS
 @pytest.mark.slow
 def test_a_cluster_makes_the_same_reports(study, tmp_path):
-    distributed = pytest.importorskip("distributed")
     shutil.copytree(study, tmp_path / "other")
     (tmp_path / "other" / "data.csv").write_text("x_mm\n1\n")
     studies = [study, tmp_path / "other"]
     alone = close_fleet(studies, tmp_path / "alone")
-    with (
-        distributed.LocalCluster(
-            n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None
-        ) as cluster,
-        distributed.Client(cluster) as client,
-    ):
+    with client_of(1) as client:
         found = close_fleet(studies, tmp_path / "cluster", client=client)
     assert [one.status for one in found.members] == ["closed", "refused"]
     assert [one.message for one in found.members] == [one.message for one in alone.members]

@@ -43,10 +43,7 @@ def client_of(workers: int | None, scheduler: str | None) -> Iterator[Any]:
     with contextlib.ExitStack() as stack:
         if scheduler is None:
             cluster = LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                processes=True,
-                dashboard_address=None,  # pyright: ignore[reportArgumentType]
+                n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0"
             )
             yield stack.enter_context(Client(stack.enter_context(cluster)))
             return

@@ -7,6 +7,7 @@ kind. A block whose worker ends is computed by another one.
 """
 
 import contextlib
+import pickle
 import sys
 import threading
 from collections import OrderedDict
@@ -46,8 +47,7 @@ class InCluster:
             )
         self.client, self.name = client, name
         self.slots = range(_AHEAD * threads)
-        with _by_value(arguments):
-            self.work = client.scatter(_Work(make, arguments, name), hash=False, broadcast=True)
+        self.work = client.scatter(_Work(make, arguments, name), hash=False, broadcast=True)
 
     def __call__(self, first: int, count: int, device: Any = None) -> Mapping[str, np.ndarray]:
         del device
@@ -58,18 +58,30 @@ class InCluster:
 
 
 class _Work:
-    """What a worker needs to compute blocks of one campaign."""
+    """What a worker needs to compute blocks of one campaign.
+
+    The arguments stay as bytes until the worker has been switched to float64: before that, JAX
+    would read its arrays in float32.
+    """
 
     def __init__(self, make: Callable[..., Evaluate], arguments: tuple, name: str):
-        self.make, self.arguments, self.name = make, arguments, name
+        import cloudpickle
+
+        with _by_value(arguments):
+            self.content = cloudpickle.dumps(arguments)
+        self.make, self.name = make, name
+
+    def evaluate(self) -> Evaluate:
+        """The function of a range of draws."""
+        jax.config.update("jax_enable_x64", True)
+        return self.make(*pickle.loads(self.content))
 
 
 def _computed(work: _Work, first: int, count: int) -> dict[str, np.ndarray]:
     """The outputs of a block; runs in a worker."""
     with _making:
         if work.name not in _made:
-            jax.config.update("jax_enable_x64", True)
-            _made[work.name] = work.make(*work.arguments)
+            _made[work.name] = work.evaluate()
             while len(_made) > _KEPT:
                 _made.popitem(last=False)
         evaluate = _made[work.name]
