@@ -121,6 +121,8 @@ def power_made(found: dict) -> str:
         [label, *(_of(s[key]) if key else "" for key in keys)]
         for label, *keys in shown
         if any(s[key][1] for key in keys if key)
+        # Where every set has noise of its own, that row would repeat the first one.
+        and not (keys[0] == "own_right" and s["own_right"] == s["far_right"])
     ]
     return table("sets,right,wrong", rows)
 
@@ -464,18 +466,16 @@ def compensation(found: dict) -> str:
 
 TABLES: dict[str, tuple[Callable[..., str], tuple[str, ...]]] = {
     "results": (results, ()),
-    **{f.__name__: (f, ("power",)) for f in (power, power_instruments)},
     **{
         f.__name__: (f, (f.__name__,))
         for f in (
-            several,
-            five_axes,
             large_sizes,
             declared_sizes,
             smallest_sizes,
             aliases,
             practice,
             speed,
+            compensation,
         )
     },
     "within_u": (within_u, ("within_u", "within_u_new")),
@@ -483,17 +483,27 @@ TABLES: dict[str, tuple[Callable[..., str], tuple[str, ...]]] = {
     "power_instruments_new": (power_made, ("power_new",)),
     "power_each_new": (power_instruments, ("power_new",)),
     "batch": (batch, ("batch", "batch_gpu")),
-    "campaigns": (campaigns, ("batch", "campaigns_gpu")),
-    **{f.__name__: (f, (f.__name__,)) for f in (strd, laser_frame, artefact_design, compensation)},
-    "dynamics": (dynamics, ("dynamics", "dynamics_gpu")),
-    "r_tests": (r_tests, ("dynamics", "dynamics_gpu")),
 }
 """Function and result files of every table of the README."""
 LONG = {
     **{
-        f.__name__: (f, ("power",)) for f in (power_cases, power_outside, power_clean, power_strays)
+        f.__name__: (f, ("power",))
+        for f in (
+            power,
+            power_instruments,
+            power_cases,
+            power_outside,
+            power_clean,
+            power_strays,
+        )
     },
-    "interrupted": (interrupted, ("interrupted",)),
+    **{
+        f.__name__: (f, (f.__name__,))
+        for f in (several, five_axes, laser_frame, artefact_design, interrupted, strd)
+    },
+    "campaigns": (campaigns, ("batch", "campaigns_gpu")),
+    "dynamics": (dynamics, ("dynamics", "dynamics_gpu")),
+    "r_tests": (r_tests, ("dynamics", "dynamics_gpu")),
 }
 """The same of tables that are printed only."""
 
