@@ -69,7 +69,7 @@ def close_loop(
     alpha: float = 0.01,
     draws: int = 500,
     seed: int = 0,
-    max_effects: int = 16,
+    max_effects: int = 32,
     learn: bool = False,
     require_testable: bool = False,
     declared: Callable[[Fit], None] = lambda fit: None,

@@ -22,7 +22,7 @@ class LoopSettings(BaseModel):
     draws: int = Field(default=500, ge=25, le=1_000_000)
     """Null draws for the p-values. With fewer, the tail of the null distribution is poorly known.
     """
-    max_effects: int = Field(default=16, ge=0)
+    max_effects: int = Field(default=32, ge=0)
     """Number of effects after which the loop stops."""
     learn: bool = False
     """Whether the families' sizes are learned for the final fit, after the search."""
