@@ -96,14 +96,14 @@ def _row(key: str, limits: Sequence[SmallestSize]) -> tuple[str, str, str, str]:
         for unit, names in sizes.items()
     ]  # fmt: skip
     if sizes.keys() - {"not by itself"} and (at := _at(limits[0])):
-        told.append(f"at {at}")
+        told.append(f"for {at}")
     return key, inner.summary, "; ".join(told), ", ".join(expected)
 
 
 def _at(limit: SmallestSize) -> str:
-    """The shape at which a limit holds: ``"pitch 36 mm"``."""
+    """The shape at which a limit holds: ``"pitch = 36 mm"``."""
     return ", ".join(
-        f"{p.name} {text.number(limit.shape[p.name] / p.si, 2)} {text.unit(p.unit)}".strip()
+        f"{p.name} = {text.number(limit.shape[p.name] / p.si, 2)} {text.unit(p.unit)}".strip()
         for p in limit.effect.shapes
         if p.name in limit.shape
     )
