@@ -328,8 +328,11 @@ def rival(chi2: float, weight: float, parameters: int, size_surplus: float = 0.0
     ],
 )
 def test_when_a_description_is_preferred_to_a_name(other, preferred):
-    assert fits_better(rival(100.0, 18.0, 3), [other]) == preferred
-    assert not fits_better(rival(100.0, 18.0, 3), [other, rival(100.0, 18.0, 1)])
+    first = (other, other.log_weight)
+    assert fits_better(rival(100.0, 18.0, 3), [first]) == preferred
+    assert not fits_better(rival(100.0, 18.0, 3), [first, (rival(100.0, 18.0, 1), 18.0)])
+    # The shapes of a name together are likelier than each.
+    assert not fits_better(rival(100.0, 18.0, 3), [(rival(103.0, 14.0, 3), 15.5)])
 
 
 def test_a_description_is_not_preferred_for_the_size_of_an_effect():
@@ -358,10 +361,14 @@ def test_a_description_is_not_preferred_for_the_size_of_an_effect():
     ],
 )
 def test_when_a_description_puts_a_name_in_doubt(description, doubt):
-    assert in_doubt(description, rival(100.0, 18.0, 2)) == doubt
+    assert in_doubt(description, rival(100.0, 18.0, 2), 18.0) == doubt
     # What the effect loses by its size does not speak for a description.
-    assert in_doubt(description, rival(100.0, 8.0, 2, size_surplus=10.0)) == doubt
-    assert in_doubt(rival(98.0, 14.0, 2), rival(100.0, 8.0, 2, size_surplus=1.0))
+    large = rival(100.0, 8.0, 2, size_surplus=10.0)
+    assert in_doubt(description, large, large.log_weight) == doubt
+    small = rival(100.0, 8.0, 2, size_surplus=1.0)
+    assert in_doubt(rival(98.0, 14.0, 2), small, small.log_weight)
+    # Its shapes together are clearly likelier than the description.
+    assert not in_doubt(rival(98.0, 14.0, 2), small, 17.5)
 
 
 @pytest.mark.parametrize(

@@ -65,6 +65,18 @@ class Screening:
         found = [peak for kind in self.kinds for peak in kind.peaks]
         return sorted(found, key=lambda peak: -peak.log_bayes)
 
+    @property
+    def best_log_odds(self) -> float:
+        """Log of the posterior odds of the most probable candidate, over all its shapes, against
+        the present model.
+        """
+        together: dict[int, list[float]] = {}
+        for kind in self.kinds:
+            for peak in kind.peaks:
+                odds = math.log(peak.effect.odds / kind.instances)
+                together.setdefault(id(peak.effect), []).append(peak.log_bayes_at_its_size + odds)
+        return max(map(np.logaddexp.reduce, together.values()), default=-math.inf)
+
 
 def screen(state: ScoreTest, effects: Sequence[Effect], *, peaks: int = 10) -> Screening:
     """Test all candidates against a fit (method: `score_test`).

@@ -9,6 +9,7 @@ import numpy as np
 from ...identification.fit import Fit, declared_chi2
 from ..empirical import Empirical
 from ..residuals.autocorrelation import persists
+from ..screening.maxima import refined_maxima, without_duplicates
 from ..screening.score_test import Peak, ScoreTest
 from ..screening.screening import Screening
 from ..weighing.cross_validation import (
@@ -20,7 +21,7 @@ from ..weighing.cross_validation import (
 )
 from ..weighing.rivals import Rival, refit_all
 from ..weighing.subsets import MOST, Subset, smallest_subset
-from ..weighing.weighing import Names, classes_of, outdoes
+from ..weighing.weighing import DISTINGUISHABLE, Names, classes_of, outdoes
 from .state import State, at_declared, chi2_per_dof, rescored
 
 _MARGIN = 30.0
@@ -29,7 +30,9 @@ _CLOSE = 8.0
 after that, those behind by more than `_CLOSE` are not refitted. Their weight is below one in a
 thousand."""
 _REFITS = 12
-"""Most candidates that are refitted."""
+"""Most candidates that are refitted, without further shapes of them that fit alike."""
+_ROUNDS = 3
+"""Refinements of such a shape between the steps of its scan, each by a factor of four."""
 
 
 def shortlist(
@@ -79,6 +82,29 @@ def shortlist(
     ids = {id(p) for p in chosen}
     chosen += [moved[id(p)] for p in significant if id(moved[id(p)]) not in ids]
     return sorted(chosen, key=weight, reverse=True)
+
+
+def with_alike_shapes(state: ScoreTest, peaks: Sequence[Peak]) -> list[Peak]:
+    """The peaks, and all others of an effect of which several fit alike, such as the pitches of a
+    screw on positions in equal steps.
+
+    The odds of a name are the sum over its shapes. Where only some of a class are refitted, an
+    effect with one shape would be too probable beside it.
+    """
+    found = list(peaks)
+    for effect in {id(p.effect): p.effect for p in peaks}.values():
+        if not effect.shapes or not all(p.moves for p in effect.shapes):
+            continue
+        mine = [p for p in peaks if p.effect is effect]
+        highest = max(p.statistic for p in mine)
+        least = highest - DISTINGUISHABLE * max(1.0, (state.chi2 - highest) / state.dof)
+        if sum(p.statistic > least for p in mine) < 2:
+            continue
+        (tested,) = state.tests([effect])
+        maxima = [] if tested is None else refined_maxima(state, tested, _ROUNDS)
+        alike = [p for p in maxima if p.statistic > least]
+        found += without_duplicates(effect, [*mine, *alike], state.fit)[len(mine) :]
+    return found
 
 
 _PRACTICAL = 0.02
@@ -138,6 +164,7 @@ class Round:
         significant = {k.kind for k in screening.kinds if screening.corrected(k) <= alpha}
         worth = [p for p in screening.peaks if p.effect.name in significant]
         peaks = shortlist(screen, worth, screening.peaks, instances)
+        peaks = with_alike_shapes(screen, peaks)
         rivals = refit_all(fit, peaks, instances, state.keep, room)
         if rivals and (better := rescored(state, rivals[0].fit, room)) is not fit:
             fit = better

@@ -73,16 +73,7 @@ class Search(ForwardSelection):
         kept = self._kept()
         _, screening = self._screened(state)
         self._restore(kept)
-        instances = {kind.kind: kind.instances for kind in screening.kinds}
-        best = max(
-            (
-                peak.log_bayes_at_its_size
-                + math.log(peak.effect.odds / instances[peak.effect.name])
-                for peak in screening.peaks
-            ),
-            default=-math.inf,
-        )
-        if gain <= max(best, 0.0) + LIKELIER:
+        if gain <= max(screening.best_log_odds, 0.0) + LIKELIER:
             return state, None
         try:
             wide = fitted(model, state.fit.measurement, None, self.room)

@@ -14,21 +14,15 @@ from ...identification.fit import Fit
 from ...identification.identify import NEARLY, identify
 from ...identification.model_averaging import Alternatives
 from ...model.forward import Model
+from ..screening.maxima import refined_maxima
 from ..screening.score_test import Peak, ScoreTest
 from .state import State, fitted, without
 
-_MOST = 100
-"""Most local maxima over a scan that are examined."""
-_NEAR = 0.5
-"""Share of the highest statistic on the grid below which a local maximum is not examined: the grid
-resolves every maximum to more than that."""
 _ROUNDS = 7
 """Refinements of a maximum, each by a factor of four."""
 _DISTINGUISHED = 9.0
 """Chi-square, in units of the noise, by which a shape must fit worse, or leave of the other one, to
 be distinguished."""
-_SAME = 0.5
-"""Steps of the scan within which two maxima are one."""
 _FITS = 24
 """Most members of a class that are fitted, for the uncertainty between them."""
 
@@ -85,12 +79,8 @@ def _class_at(
     if tested is None:
         return None
     noise2 = max(1.0, state.scored.chi2 / state.scored.dof)
-    near = [p for p in tested.peaks(_MOST) if p.statistic > _NEAR * tested.drops.stat.max()]
-    if len(near) < 2:
-        return None
-    peaks = sorted((test.refine(p, _ROUNDS) for p in near), key=lambda p: -p.statistic)
-    least = peaks[0].statistic - _DISTINGUISHED * noise2
-    peaks = _distinct(effect, [p for p in peaks if p.statistic > least], base)
+    peaks = refined_maxima(test, tested, _ROUNDS)
+    peaks = [p for p in peaks if p.statistic > peaks[0].statistic - _DISTINGUISHED * noise2]
     if len(peaks) < 2:
         return None
     local = [_local(test, peak, noise2) for peak in peaks]
@@ -115,29 +105,6 @@ def _class_at(
         if name in values[0]
     }
     return ShapeClass.of(effect, values, weights / weights.sum(), maps), values, spread
-
-
-def _distinct(effect: Effect, peaks: Sequence[Peak], fit: Fit) -> list[Peak]:
-    """The peaks, best first, without those that converged to the shape of a better one."""
-    grids = effect.scan(fit.measurement.plan)
-    kept: list[Peak] = []
-    for peak in peaks:
-        if not any(
-            all(
-                abs(float(_steps(grids[n], peak.shape[n]) - _steps(grids[n], other.shape[n])))
-                < _SAME
-                for n in peak.shape
-            )
-            for other in kept
-        ):
-            kept.append(peak)
-    return kept
-
-
-def _steps(grid: np.ndarray, value: float) -> float:
-    """A value in steps of its scan."""
-    order = np.argsort(grid)
-    return float(np.interp(value, grid[order], np.arange(len(grid))))
 
 
 def _local(test: ScoreTest, peak: Peak, noise2: float) -> tuple[dict[str, float], dict[str, float]]:

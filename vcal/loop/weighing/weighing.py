@@ -79,24 +79,25 @@ def outdoes(description: Rival, names: Sequence[tuple[Rival, float]]) -> bool:
         return True
     first, odds = names[0]
     likelier = description.log_weight > odds + first.size_cost
-    return likelier and fits_better(description, [rival for rival, _ in names])
+    return likelier and fits_better(description, names)
 
 
-def fits_better(best: Rival, others: Sequence[Rival]) -> bool:
-    """Whether a candidate fits clearly better than each of the others, whatever number of
-    parameters they have; or is clearly more probable because of its form alone.
+def fits_better(best: Rival, others: Sequence[tuple[Rival, float]]) -> bool:
+    """Whether a candidate fits clearly better than each of the others (with the log odds of their
+    names), whatever number of parameters they have; or is clearly more probable because of its form
+    alone.
     """
     noise = max(1.0, best.fit.chi2 / best.fit.dof)
 
-    def better(rival: Rival) -> bool:
+    def better(rival: Rival, odds: float) -> bool:
         gained = rival.fit.chi2 - best.fit.chi2
         return gained > _FITS_AS_WELL * noise or (
             gained >= 0.0
             and len(best.effect.parameters) >= len(rival.effect.parameters)
-            and best.log_weight > rival.log_weight_at_its_size + _LIKELIER
+            and best.log_weight > odds + rival.size_cost + _LIKELIER
         )
 
-    return all(map(better, others))
+    return all(better(rival, odds) for rival, odds in others)
 
 
 def likelier(
@@ -128,8 +129,8 @@ def _odds_in(fit: Fit, place: int, rival: Rival, noise: float) -> float:
     return more + float(size_allowance(size_surplus(*at_its_shape(fit, mine, noise))))
 
 
-def in_doubt(description: Rival, best: Rival) -> bool:
-    """Whether an empirical description makes an effect uncertain.
+def in_doubt(description: Rival, best: Rival, odds: float) -> bool:
+    """Whether an empirical description makes an effect, with the log odds of its name, uncertain.
 
     The description fits better by more than the data can distinguish, and the effect is not clearly
     more probable, its size left out. A description that fits equally well is no rival: a physical
@@ -138,7 +139,7 @@ def in_doubt(description: Rival, best: Rival) -> bool:
     noise = max(1.0, best.fit.chi2 / best.fit.dof)
     return (
         best.fit.chi2 - description.fit.chi2 > DISTINGUISHABLE * noise
-        and best.log_weight_at_its_size < description.log_weight + _LIKELIER
+        and odds + best.size_cost < description.log_weight + _LIKELIER
     )
 
 
@@ -183,9 +184,9 @@ def same_for_these_data(base: Fit, a: Rival, b: Rival) -> bool:
 class Names:
     """Rivals by name.
 
-    Rivals that the data cannot distinguish form one class with one name. Peaks and components of
+    Rivals that the data cannot distinguish form one class with one name. Shapes and components of
     one name add up, and so do equivalent places, because the prior odds of a kind are shared among
-    them.
+    them, and the prior of an effect by the steps of its scan. Variants of one effect count once.
     """
 
     weights: dict[str, float]
@@ -209,12 +210,15 @@ class Names:
             others = [r for r in members if r.effect.key != best.effect.key]
             mine = not others or any(r is best for r in members)
             key = best.effect.key if mine else others[0].effect.key
-            distinct = {
-                same_effect(r.effect): math.exp(r.log_weight - top) for r in reversed(members)
-            }
-            weights[key] = weights.get(key, 0.0) + sum(distinct.values())
+            weights[key] = weights.get(key, 0.0) + _together(members, top)
             found.setdefault(key, []).extend(members)
         return cls(weights, found)
+
+    def log_odds(self, key: str) -> float:
+        """Log of the posterior odds of a name."""
+        top = max(rival.log_weight for members in self.members.values() for rival in members)
+        # The odds of a very improbable name may underflow to zero.
+        return top + math.log(max(self.weights[key], 1e-300))
 
     def ranked(self) -> list[tuple[Rival, float]]:
         """All rivals, the most probable name first, each with log odds.
@@ -223,15 +227,28 @@ class Names:
         most probable one of that name: a pitch or component that does not fit gains nothing from
         its name.
         """
-        top = max(rival.log_weight for members in self.members.values() for rival in members)
         order = sorted(self.weights, key=lambda key: -self.weights[key])
         found = []
         for key in order:
             most = max(rival.log_weight for rival in self.members[key])
-            # The odds of a very improbable name may underflow to zero.
-            odds = top + math.log(max(self.weights[key], 1e-300))
+            odds = self.log_odds(key)
             found += [(rival, odds + rival.log_weight - most) for rival in self.members[key]]
         return found
+
+
+def _together(members: Sequence[Rival], top: float) -> float:
+    """Posterior odds of a class, relative to exp(top): the sum over the shapes of each effect, of
+    variants of one effect (`same_effect`) the largest.
+    """
+    by_effect: dict[int, float] = {}
+    for rival in members:
+        at = id(rival.effect)
+        by_effect[at] = by_effect.get(at, 0.0) + math.exp(rival.log_weight - top)
+    distinct: dict[object, float] = {}
+    for rival in members:
+        same = same_effect(rival.effect)
+        distinct[same] = max(distinct.get(same, 0.0), by_effect[id(rival.effect)])
+    return sum(distinct.values())
 
 
 def classes_of(base: Fit, rivals: Sequence[Rival]) -> list[list[Rival]]:
@@ -253,9 +270,10 @@ def weigh(
     """Posterior probabilities of the rivals (`classes_of`) from the viewpoint of `best`. An
     empirical description is among them where it makes the best uncertain (`in_doubt`).
     """
-    if described is not None and in_doubt(described, best):
-        classes = [*classes, [described]]
     names = Names.of(classes, best)
+    if described is not None and in_doubt(described, best, names.log_odds(best.effect.key)):
+        classes = [*classes, [described]]
+        names = Names.of(classes, best)
     weights, members_of = names.weights, names.members
     top = max(rival.log_weight for members in classes for rival in members)
     total = sum(weights.values())
@@ -263,7 +281,7 @@ def weigh(
     same = next((members for members in classes if any(r is best for r in members)), [])
     equivalent = sorted({r.effect.key for r in same} - {key})
     probability = weights[key] / total
-    # Shapes that the data cannot distinguish count once in the name, and share its probability.
+    # Variants of an effect count once in the name, and share its probability.
     each = {id(rival): math.exp(rival.log_weight - top) for rival in members_of[key]}
     per_weight = probability / max(sum(each.values()), 1e-300)
     others = sorted(((w / total, k) for k, w in weights.items() if k != key), reverse=True)
