@@ -72,12 +72,12 @@ def test_the_ripple_of_a_joint_has_aliases_too():
         assert same(waves(q, first), waves(q, pitch))
 
 
-def _study(folder, step, count, pitch):
+def _study(folder, step, count, pitch, seed=5, phase=0.7):
     screw = {"effect": "screw_cyclic", "axis": "X", "amplitude_um": 6.0, "pitch_mm": pitch,
-             "phase": 0.7}  # fmt: skip
+             "phase": phase}  # fmt: skip
     case = make_case(
         "laser_tracker",
-        seed=5,
+        seed=seed,
         effects=[screw],
         travel=np.array([(count - 1) * step, 600.0, 500.0]) * 1e-3,
         plan={"shape": (count, 2, 2), "margin": 0.0, "jitter": 0.0},
@@ -117,6 +117,35 @@ def test_a_class_of_pitches_is_named_and_what_is_common_is_compensated(tmp_path)
             for of in (shared.response(between, {}), shared.effect.response(
                 between, dict(shared.members[0][1])))]  # fmt: skip
     assert size[0] < 0.5 * size[1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("step", "count", "pitch", "without"),
+    [
+        (50.0, 20, 17.0, "geometric_order EXX"),  # a wave of 850 mm along 950 mm of travel
+        (47.0, 21, 12.0, "local_bump X"),  # a wave of 564 mm: one dent describes it
+        (50.0, 20, 13.0, "larger sizes"),  # a wave of 325 mm, nearly a term of the geometry
+    ],
+)
+def test_all_shapes_of_a_class_count_beside_what_has_one_shape(
+    tmp_path, step, count, pitch, without
+):
+    """A tenth of the class alone is too improbable beside a polynomial, a dent or larger sizes."""
+    seed = 71_000
+    phase = np.random.default_rng([seed, int(step), int(10 * pitch)]).uniform(-np.pi, np.pi)
+    path = _study(tmp_path, step, count, pitch, seed + int(pitch), phase)
+    study = vcal.load_study(path)
+    closure = vcal.close_loop(study.model, study.measurement, check=study.check, seed=seed)
+    (found,) = closure.effects
+    certain = found.status == "named"
+    if found.effect.key == without:
+        assert not certain
+        assert ("screw_cyclic", "X") in [rival[:2] for rival in found.alternatives]
+    else:
+        assert found.effect.key == "screw_cyclic X"
+        pitches = np.array([shape["pitch"] for shape in found.shapes])
+        assert np.abs(1 / pitches - 1 / pitch).min() * (count - 1) * step < 0.25
 
 
 @pytest.mark.thorough

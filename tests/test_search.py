@@ -12,6 +12,7 @@ import vcal.loop.search.search
 from known import Known
 from vcal import CATALOGUE, Effect, Measurement, Parameter, Prior, close_loop, identify, predict
 from vcal.distributions import Normal
+from vcal.effects.reference import with_free_reference
 from vcal.loop.close_loop import still_rejected
 from vcal.loop.outcome.closure import FoundEffect, Rejected
 from vcal.loop.outcome.unexplained import from_structure
@@ -247,6 +248,26 @@ def test_names_are_ranked_by_all_their_places_however_unlikely():
     assert ranked[3][1] == pytest.approx(of_the_name - 2.0)  # another shape, less likely themselves
     assert ranked[4][1] == pytest.approx(10.0)
     assert ranked[5][1] < -600.0
+
+
+def test_the_shapes_of_an_effect_add_up_and_its_variants_do_not(tracker):
+    """One class: three pitches of a screw, and two variants of a tilt, of which one has its
+    reference value free.
+    """
+    screw = bare(tracker, "screw_cyclic:X:sine_um=1,pitch_mm=10")
+    tilt = bare(tracker, "thermal_tilt:Y:k_EAY_urad_per_K=1")
+    alike = [
+        (screw, 10.0),
+        (screw, 10.0),
+        (screw, 9.0),
+        (with_free_reference(tilt), 8.0),
+        (tilt, 9.0),
+    ]
+    members = [SimpleNamespace(effect=effect, log_weight=weight) for effect, weight in alike]
+    names = Names.of([members])  # type: ignore[arg-type]
+    together = 2 * np.exp(10.0) + 2 * np.exp(9.0)
+    assert names.log_odds(screw.key) == pytest.approx(np.log(together))
+    assert [odds for _, odds in names.ranked()][:2] == pytest.approx([np.log(together)] * 2)
 
 
 @pytest.mark.parametrize("order", [1, -1])
