@@ -8,8 +8,11 @@ import re
 import numpy as np
 import pytest
 from PIL import Image
+from typer.testing import CliRunner
 
 from vcal import CATALOGUE, StudyError
+from vcal.cli import app
+from vcal.demo import FOLDER as DEMO
 from vcal.plots import cut
 from vcal.plots.panels import Panel, mark, panels
 from vcal.plots.style import DPI, figure, grid
@@ -177,6 +180,20 @@ def test_a_browser_that_fails_leaves_the_report(tmp_path, monkeypatch):
         pdf.print_page(page)
     FOLDER.check(page.parent)
     assert page.is_file()
+
+
+@posix
+@pytest.mark.parametrize("words", [["check", "SETUP"], ["effects", "backlash"]])
+def test_commands_with_a_page_print_it(words, tmp_path, monkeypatch):
+    pretend(tmp_path / "browser", monkeypatch, PRINTS)
+    words = [str(DEMO / "setup.toml") if word == "SETUP" else word for word in words]
+    out = tmp_path / "out"
+    done = CliRunner().invoke(app, [*words, "--out", str(out), "--pdf"])
+    assert done.exit_code == 0, done.output
+    (printed,) = out.glob("*.pdf")
+    assert printed.read_text().startswith("%PDF-") and str(printed.name) in done.output
+    done = CliRunner().invoke(app, [*words, "--pdf"])
+    assert done.exit_code == 2 and "found no --out" in done.output
 
 
 def test_without_a_browser_the_message_says_what_to_do(monkeypatch):

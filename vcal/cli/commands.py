@@ -14,7 +14,7 @@ import typer
 from .. import __version__
 from ..demo import starts
 from ..words import counted
-from .printing import browser_for, print_with
+from .printing import browser_for, print_with, require_page
 from .session import INTERRUPTED, guarded, leave, listen, say, start, tell, working
 
 app = typer.Typer(
@@ -669,6 +669,7 @@ def reproduce(
         typer.Option(metavar="N", help="Monte Carlo draws; by default those of the campaign."),
     ] = None,
     seed: Seed = 0,
+    pdf: Pdf = False,
 ) -> None:
     """Reproduce a published campaign and compare the results with the published values."""
     start()
@@ -684,9 +685,11 @@ def reproduce(
         raise StudyError(
             f"--out: found none, expected a folder for the results of {name}; give one"
         )
+    browser = browser_for(pdf)
     with working("starting") as progress:
         page = wanted.run(out, wanted.draws if draws is None else draws, seed, progress)
     say(f"Report: {page}")
+    print_with(browser, page)
 
 
 @app.command()
@@ -704,8 +707,10 @@ def check(
     ] = None,
     override: Override = None,
     trust: Trust = False,
+    pdf: Pdf = False,
 ) -> None:
     """Read and check a study without a fit, and print a summary of it."""
+    require_page(pdf, out)
     start()
     from .. import load_study
     from .show import show_rows, study_rows
@@ -719,21 +724,26 @@ def check(
     from ..study.outline import outline
 
     check_check_folder(out)  # before the work, not after it
+    browser = browser_for(pdf)
     words = ["vcal", "check", str(setup), "--out", str(out)]
     for text in override or []:
         words += ["--set", text]
-    command = shlex.join([*words, *(["--trust"] if trust else [])])
+    command = shlex.join([*words, *["--trust"] * trust, *["--pdf"] * pdf])
     try:
         study = load_study(setup, override or [], trust=trust)
     except StudyError as error:
         # The picture of the declared machine may show why.
         seen = outline(setup, override or [])
         if seen is not None:
-            say(f"Page: {write_refused(seen, str(error), out, command=command)}")
+            page = write_refused(seen, str(error), out, command=command)
+            say(f"Page: {page}")
+            print_with(browser, page)
         raise
     rows = study_rows(study)
     show_rows(study, rows)
-    say(f"Page: {write_check(study, rows, out, command=command)}")
+    page = write_check(study, rows, out, command=command)
+    say(f"Page: {page}")
+    print_with(browser, page)
 
 
 @app.command()
@@ -751,8 +761,10 @@ def effects(
             help="Folder for a page with pictures of every effect, or of the named one.",
         ),
     ] = None,
+    pdf: Pdf = False,
 ) -> None:
     """List the effects of the catalogue, or describe one of them."""
+    require_page(pdf, out)
     from ..effects import CATALOGUE, effect_class
     from .show import show_catalogue, show_effect
     from .start_studies import example
@@ -762,8 +774,10 @@ def effects(
         from ..report.effects.write import write_effects
 
         start()
+        browser = browser_for(pdf)
         page = write_effects(chosen, {e.name: example(e) for e in chosen}, out)
         say(f"Effects: {page}")
+        print_with(browser, page)
     elif name is None:
         show_catalogue(chosen)
     else:

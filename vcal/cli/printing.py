@@ -5,6 +5,19 @@ from pathlib import Path
 from .session import say
 
 
+def require_page(pdf: bool, out: Path | None) -> None:
+    """Refuse ``--pdf`` of a command that writes a page only with ``--out``, where that is missing.
+
+    Raises `StudyError`.
+    """
+    if pdf and out is None:
+        from ..errors import StudyError
+
+        raise StudyError(
+            "--pdf: found no --out, expected a folder for the page that is printed; give one"
+        )
+
+
 def browser_for(pdf: bool) -> str:
     """The browser that will print, found before the work; empty where nothing is to be printed.
 
