@@ -9,7 +9,7 @@ the hypothesis that nothing is missing, r* = e - J H^-1 (J'e + L^(1/2) z), which
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,8 +36,13 @@ _CANCELLED = 1e-24
 rounding: the readings do not depend on the port, or its parts cancel."""
 _CHUNK = 512
 _ROOM = 2**28
-"""Bytes of projections on ports that are kept. Others are made again where they are needed, so that
-the memory does not grow with rows, ports and null residuals together."""
+"""Most bytes of projections on ports that are kept. Those of a larger plan are made again for a
+block of rows at a time, so that the memory does not grow with rows, ports and null residuals
+together."""
+_BLOCK_ROWS = 512
+"""Rows of such a block: its null residuals stay in the cache of the processor."""
+_DRAWN = 2**21
+"""Null residuals that are drawn together."""
 _FAINT, _ROUNDING = 1e-6, 1e-9
 """Precision of a free shape parameter: share of that of its scan, and of the information in the
 readings. Both are negligible."""
@@ -110,17 +115,11 @@ class ScoreTest:
         self.count = float(fit.counted.sum() - self.flat.sum())
         cost = self._cost(fit.chi2, float(fit.theta**2 @ fit.precision))
         self.cost = max(cost, SILENT * self.count)
-        used = fit.counted.reshape(-1)
-        rng = np.random.default_rng(seed)
-        noise = rng.standard_normal((n * m, draws)) * used[:, None]
-        prior = rng.standard_normal((len(fit.theta), draws)) * np.sqrt(fit.precision)[:, None]
-        moved = cho_solve(self.factor, fit.jacobian.T @ noise + prior)
-        null = noise - fit.jacobian @ moved
-        beside = prior - fit.precision[:, None] * moved
-        self.null_cost = self._cost((null**2).sum(0), (beside**2).sum(0))
-        self.null = null.reshape(n, m, draws).astype(np.float32)
+        null, self.null_cost = self._null_residuals(draws, seed)
+        self.null = null.reshape(n, m, draws)
+        one = n * (8 + 4 * draws + 8 * self.jacobian.shape[2])
+        self._keeps = one * self.ports.shape[2] <= _ROOM
         self._contracted: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
-        self._room = _ROOM
         self._products: dict[tuple[int, int], np.ndarray] = {}
 
     def _cost(self, chi2, prior):
@@ -133,21 +132,58 @@ class ScoreTest:
         expected = np.minimum(prior, float(np.count_nonzero(self.fit.precision)))
         return chi2 + np.maximum(chi2 / self.dof, 1.0) * expected + (prior - expected)
 
-    def contract(self, port: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Residual (n), null residuals (n, draws) and Jacobian (n, k) projected on one port."""
-        if port in self._contracted:
-            return self._contracted[port]
-        g = self.ports[:, :, port]
-        found = (
-            np.einsum("nm,nm->n", g, self.residual),
-            np.einsum("nm,nmd->nd", g.astype(np.float32), self.null, optimize=True),
-            np.einsum("nm,nmk->nk", g, self.jacobian, optimize=True),
-        )
-        size = sum(one.nbytes for one in found)
-        if size <= self._room:
-            self._room -= size
-            self._contracted[port] = found
-        return found
+    def _null_residuals(self, draws: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (readings, draws) of the fit where nothing is missing, and their costs (draws).
+
+        They are kept in single precision; only those of some readings at a time are in double.
+        """
+        fit, used = self.fit, self.fit.counted.reshape(-1)
+        size = max(1, _DRAWN // max(draws, 1))
+        blocks = [slice(i, i + size) for i in range(0, len(used), size)]
+        rng = np.random.default_rng(seed)
+        null, onto = np.empty((len(used), draws), np.float32), np.zeros((len(fit.theta), draws))
+        for block in blocks:
+            noise = rng.standard_normal((len(used[block]), draws)) * used[block][:, None]
+            onto += fit.jacobian[block].T @ noise
+            null[block] = noise
+        prior = rng.standard_normal((len(fit.theta), draws)) * np.sqrt(fit.precision)[:, None]
+        moved = cho_solve(self.factor, onto + prior)
+        beside = prior - fit.precision[:, None] * moved
+        squares = np.zeros(draws)
+        for block in blocks:
+            residual = null[block] - fit.jacobian[block] @ moved
+            squares += np.einsum("nd,nd->d", residual, residual)
+            null[block] = residual
+        return null, self._cost(squares, (beside**2).sum(0))
+
+    def _projected(
+        self, ports: Sequence[int]
+    ) -> Iterator[tuple[slice, list[tuple[np.ndarray, np.ndarray, np.ndarray]]]]:
+        """Residual (rows), null residuals (rows, draws) and Jacobian (rows, k), projected on each
+        of these ports; of all rows or of one block after the other.
+        """
+        n = len(self.ports)
+        if self._keeps:
+            yield slice(0, n), [self._contract(port) for port in ports]
+            return
+        for begin in range(0, n, _BLOCK_ROWS):
+            rows = slice(begin, min(begin + _BLOCK_ROWS, n))
+            g = np.ascontiguousarray(self.ports[rows][:, :, ports].transpose(0, 2, 1))
+            r = np.einsum("npm,nm->pn", g, self.residual[rows])
+            drawn = (g.astype(np.float32) @ self.null[rows]).transpose(1, 0, 2)
+            j = (g @ self.jacobian[rows]).transpose(1, 0, 2)
+            yield rows, list(zip(r, drawn, j, strict=True))
+
+    def _contract(self, port: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The projections of all rows on one port, which are kept."""
+        if port not in self._contracted:
+            g = self.ports[:, :, port]
+            self._contracted[port] = (
+                np.einsum("nm,nm->n", g, self.residual),
+                np.einsum("nm,nmd->nd", g.astype(np.float32), self.null, optimize=True),
+                np.einsum("nm,nmk->nk", g, self.jacobian, optimize=True),
+            )
+        return self._contracted[port]
 
     def columns(self, effect: Effect, shape: Mapping[str, float]) -> np.ndarray:
         """Whitened columns C of a candidate (n m, amplitudes), in solver units."""
@@ -289,16 +325,21 @@ class ScoreTest:
                     cc[at, np.array(b)[:, None], np.array(a)] += both.transpose(0, 2, 1)
         # All responses through the same port are one matrix product, whichever effect they belong
         # to.
-        for (port, a), parts in through.items():
-            r, drawn, j = self.contract(port)
+        joined = []
+        for (_, a), parts in through.items():
             at = np.concatenate([rows for rows, _ in parts])[:, None], np.array(a)
             phi = np.concatenate([phi for _, phi in parts]) if len(parts) > 1 else parts[0][1]
-            flat = phi.reshape(-1, phi.shape[2])
             moved[at] += self.reach * (phi**2).sum(2)
-            s[at] += (flat @ r).reshape(phi.shape[:2])
-            cj[at] += (flat @ j).reshape(*phi.shape[:2], k)
-            if null:
-                s_null[at] += (flat.astype(np.float32) @ drawn).reshape(*phi.shape[:2], draws)
+            joined.append((at, phi.shape[:2], phi.reshape(-1, phi.shape[2])))
+        ports = list(dict.fromkeys(port for port, _ in through))
+        for rows, projected in self._projected(ports):
+            on = dict(zip(ports, projected, strict=True))
+            for (port, _), (at, shape, whole) in zip(through, joined, strict=True):
+                (r, drawn, j), flat = on[port], whole[:, rows]
+                s[at] += (flat @ r).reshape(shape)
+                cj[at] += (flat @ j).reshape(*shape, k)
+                if null:
+                    s_null[at] += (flat.astype(np.float32) @ drawn).reshape(*shape, draws)
         return s, cj, cc, s_null, moved
 
     def _drops(
