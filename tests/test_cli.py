@@ -899,17 +899,16 @@ def test_progress_is_for_terminals_only(monkeypatch):
         assert ("round 1: screening" in stream.getvalue()) == shows
 
 
-@pytest.mark.parametrize("argument", ["-m", "-c"])
-def test_ctrl_c_while_modules_are_imported(tmp_path, argument):
+@pytest.mark.parametrize("words", [["-m", "vcal", "effects"], ["-c", "import vcal; vcal.identify"]])
+def test_ctrl_c_while_modules_are_imported(tmp_path, words):
     """No traceback from a command; a program that imports vcal sees its own exception."""
     # A module that is imported early waits until it is interrupted.
     (tmp_path / "jax.py").write_text("import time\nprint('waiting', flush=True)\ntime.sleep(60)\n")
     package = str(Path(vcal.__file__).parents[1])
-    what = "vcal" if argument == "-m" else "import vcal"
     # Tests in the background of a shell ignore it, and so would a process that they start.
     own = signal.signal(signal.SIGINT, signal.default_int_handler)
     found = subprocess.Popen(
-        [sys.executable, argument, what],
+        [sys.executable, *words],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -920,7 +919,7 @@ def test_ctrl_c_while_modules_are_imported(tmp_path, argument):
     assert found.stdout.readline() == "waiting\n"
     found.send_signal(signal.SIGINT)
     _, told = found.communicate(timeout=30)
-    if argument == "-m":
+    if words[0] == "-m":
         assert (found.returncode, told) == (130, "vcal: interrupted\n")
     else:
         assert "KeyboardInterrupt" in told
@@ -933,14 +932,16 @@ def test_ctrl_c_while_modules_are_imported(tmp_path, argument):
 @pytest.mark.thorough
 def test_importing_leaves_the_collector_as_it_was(before, after):
     code = (
-        f"import gc; gc.{before}(); import vcal; print(gc.isenabled(), gc.get_freeze_count() > 0)"
+        f"import gc; gc.{before}(); import vcal; vcal.identify; "
+        "print(gc.isenabled(), gc.get_freeze_count() > 0)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == after
 
 
 @pytest.mark.parametrize(("argument", "given", "expected"), [
-    (["-m", "vcal"], None, "1"), (["-m", "vcal"], "3", "3"), (["-c", "import vcal"], None, "None"),
+    (["-m", "vcal", "effects"], None, "1"), (["-m", "vcal", "effects"], "3", "3"),
+    (["-c", "import vcal; vcal.identify"], None, "None"),
 ])  # fmt: skip
 @pytest.mark.thorough
 def test_a_command_has_one_thread_for_linear_algebra_unless_it_is_told(

@@ -59,11 +59,25 @@ def test_dir_shows_the_public_names_only():
     assert isinstance(vcal.close_loop, types.FunctionType)
 
 
+def test_importing_vcal_imports_nothing_that_takes_long():
+    """JAX is imported when something is used, matplotlib when something is drawn."""
+    code = "import sys, vcal; vcal.__version__; dir(vcal); heavy = 'jax equinox optimistix scipy '"
+    code += "'numpy matplotlib pydantic'; print([m for m in heavy.split() if m in sys.modules])"
+    code += "; vcal.identify; print('jax' in sys.modules, 'matplotlib' in sys.modules)"
+    code += "; print(vcal.uncertainty.propagate.__name__)"
+    root = str(Path(vcal.__file__).parents[1])
+    found = subprocess.run(
+        [sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=True
+    )
+    assert found.stdout.split("\n")[:3] == ["[]", "True False", "propagate"]
+
+
 @pytest.mark.slow
 def test_nothing_imported_is_left_under_a_public_name():
     """In a process of its own: the test session has imported further subpackages."""
-    code = "import vcal, types; print([n for n, v in vars(vcal).items() if not n.startswith('_') "
-    code += "and n not in vcal.__all__ and not isinstance(v, types.ModuleType)])"
+    code = "import vcal, types; vcal.identify; print([n for n, v in vars(vcal).items() "
+    code += "if not n.startswith('_') and n not in vcal.__all__ "
+    code += "and not isinstance(v, types.ModuleType)])"
     code += "; print(hasattr(vcal, 'jax'))"
     root = str(Path(vcal.__file__).parents[1])
     found = subprocess.run(

@@ -5,12 +5,14 @@ commanded positions and conditions to readings of the instrument. The verbs of t
 of that function.
 """
 
+from importlib import import_module as _import_module
+from importlib.util import find_spec as _find_spec
+from typing import TYPE_CHECKING as _TYPE_CHECKING
+from typing import Any as _Any
+
 from .startup import importing as _importing
 
-# These imports take most of the time that a command needs to start.
-with _importing():
-    import jax as _jax
-
+if _TYPE_CHECKING:
     from .compensation import IdentifiedMachine, compensate
     from .effects import CATALOGUE, Effect, register
     from .errors import StudyError
@@ -27,6 +29,44 @@ with _importing():
 
 __version__ = "0.1.0"
 
+_MODULES = {
+    "CATALOGUE": "effects",
+    "CheckPoints": "model.measurement",
+    "Closure": "loop.outcome.closure",
+    "Effect": "effects",
+    "Fit": "identification.fit",
+    "IdentifiedMachine": "compensation",
+    "Measurement": "model.measurement",
+    "Model": "model.forward",
+    "Parameter": "machine.parameters",
+    "Plan": "machine.plan",
+    "Prior": "machine.parameters",
+    "Study": "study",
+    "StudyError": "errors",
+    "close_loop": "loop.close_loop",
+    "compensate": "compensation",
+    "identify": "identification.identify",
+    "load_machine": "study.identified_machine",
+    "load_study": "study",
+    "predict": "model.forward",
+    "register": "effects",
+}
+"""Module of every public name. JAX takes over a second to import, so a name is imported when it is
+used for the first time."""
+
+
+def __getattr__(name: str) -> _Any:
+    """A public name or a subpackage, imported when it is used for the first time."""
+    if name in _MODULES:
+        with _importing():
+            value = getattr(_import_module(f".{_MODULES[name]}", __name__), name)
+        globals()[name] = value
+        return value
+    if not name.startswith("_") and _find_spec(f"{__name__}.{name}") is not None:
+        with _importing():
+            return _import_module(f".{name}", __name__)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
 
 def enable_float64() -> None:
     """Switch JAX to float64, which every computation of vcal requires, and keep compiled programs
@@ -35,9 +75,12 @@ def enable_float64() -> None:
     The environment variable ``VCAL_NO_CACHE`` switches the cache off; a compilation cache of JAX
     that is configured already is used instead.
     """
-    from .numerics.program_cache import keep_programs
+    with _importing():
+        import jax
 
-    _jax.config.update("jax_enable_x64", True)
+        from .numerics.program_cache import keep_programs
+
+    jax.config.update("jax_enable_x64", True)
     keep_programs()
 
 
@@ -67,5 +110,5 @@ __all__ = [
 
 
 def __dir__() -> list[str]:
-    """The public names only: imported subpackages are reached by importing them."""
+    """The public names only: subpackages are reached by their names."""
     return sorted([*__all__, "__version__"])

@@ -68,7 +68,7 @@ def _ended_at_once() -> Iterator[None]:
     """
     before = signal.getsignal(signal.SIGINT)
     # A process that was started without Ctrl-C, as by nohup, keeps it that way.
-    if before is not signal.default_int_handler:
+    if not callable(before):
         yield
         return
     signal.signal(signal.SIGINT, _leave)

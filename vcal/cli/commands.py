@@ -15,7 +15,7 @@ from .. import __version__
 from ..demo import starts
 from ..words import counted
 from .printing import browser_for, print_with, require_page
-from .session import INTERRUPTED, guarded, leave, listen, say, start, tell, working
+from .session import INTERRUPTED, guarded, import_modules, leave, listen, say, start, tell, working
 
 app = typer.Typer(
     name="vcal",
@@ -111,6 +111,7 @@ def _options(
     ] = False,
 ) -> None:
     del version
+    import_modules()
 
 
 @app.command()

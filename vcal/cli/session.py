@@ -14,7 +14,7 @@ import typer
 
 from .. import enable_float64
 from ..errors import StudyError
-from ..study.plugins.trial import own_code_error
+from ..startup import importing
 from ..words import printable
 
 MISTAKE = 2
@@ -47,6 +47,8 @@ def guarded(command: Callable[..., Any]) -> Callable[..., Any]:
             tell("interrupted; nothing was written")
             raise typer.Exit(INTERRUPTED) from None
         except BaseException as error:
+            from ..study.plugins.trial import own_code_error
+
             # A user's own effect or instrument was called once on loading, which does not exclude
             # a later failure. Such a class may not end the program with a traceback either.
             if (text := own_code_error(error)) is None:
@@ -105,6 +107,12 @@ def leave(code: int) -> NoReturn:
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(code)
+
+
+def import_modules() -> None:
+    """Import what all commands use, JAX with it: after the help, which does not need it."""
+    with importing():
+        from .. import compensation, loop, study  # noqa: F401
 
 
 def start() -> None:
