@@ -156,9 +156,13 @@ class Amplitudes(eqx.Module):
             jax.random.normal(jax.random.fold_in(key, i), (count,))
             for i, count in enumerate(self.counts)
         ]
-        if not drawn:
-            return jnp.zeros(0)
-        theta = self.shaped(jnp.concatenate(drawn))
+        return self.of_scores(jnp.concatenate(drawn), key) if drawn else jnp.zeros(0)
+
+    def of_scores(self, score: Float[Array, " k"], key: PRNGKeyArray) -> Float[Array, " k"]:
+        """The draw (k,) of independent standard normal numbers; of a key, where distributions are
+        joint.
+        """
+        theta = self.shaped(score)
         for part in self.joint:
             own = jax.random.fold_in(jax.random.fold_in(key, part.effect), 2)
             law = part.law

@@ -2,6 +2,7 @@
 
 `propagate` and `propagate_distributions` take a measurement function; `monte_carlo` and
 `linearised` take a virtual calibration, that is, a simulated measurement with its identification;
+`two_level` combines both;
 `compare` validates the first method by the second. Uses `identification`, `geometry` and what lies
 below; knows nothing of `loop` and `design`. `study`, `report`, `reproduce` and `cli` stand on it.
 """
@@ -12,6 +13,7 @@ from .campaign import Campaign, monte_carlo, virtual_pair
 from .comparison import Attained, Comparison, attained_coverage, compare
 from .ensemble import Ensemble, FieldResult
 from .functions import propagate_distributions
+from .levels import TwoLevel, two_level
 from .linear import Linearised, linearised
 from .mismatch import Left, drawn_errors, expected_error, fitted_places
 from .outputs import Field, Output
@@ -50,6 +52,7 @@ __all__ = [
     "Precision",
     "Programs",
     "Quantity",
+    "TwoLevel",
     "VolumetricErrors",
     "attained_coverage",
     "budget_table",
@@ -68,5 +71,6 @@ __all__ = [
     "propagate",
     "propagate_distributions",
     "stream",
+    "two_level",
     "virtual_pair",
 ]

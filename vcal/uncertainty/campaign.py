@@ -274,6 +274,23 @@ def side_by_side(function: Any, together: int) -> Any:
     return lambda index: jax.lax.map(function, index, batch_size=together)
 
 
+def in_parts(
+    pool: ThreadPoolExecutor, function: Any, index: np.ndarray, size: int, device: Any
+) -> dict[str, np.ndarray]:
+    """A compiled function of draws, applied to `size` of them at a time."""
+    # The last part is padded to the same size, so that it needs no compilation.
+    full = np.concatenate([index, np.repeat(index[-1:], -len(index) % size)])
+
+    def run(part: np.ndarray) -> dict[str, Array]:
+        return jax.block_until_ready(function(jax.device_put(part, device)))
+
+    found = list(pool.map(run, full.reshape(-1, size)))
+    return {
+        name: np.concatenate([np.asarray(f[name]) for f in found])[: len(index)]
+        for name in found[0]
+    }
+
+
 class _Evaluate:
     """The outputs of a range of draws."""
 
@@ -297,19 +314,28 @@ class _Evaluate:
         ways = [(identify_alone, few), (identify_damped, few)]
         if pair.batch.shared:
             ways.insert(0, (identify_one, self.size))
-        self.content = pair.simulator, pair.batch, self.measures
+        self.content = self._content()
         together = TOGETHER if processor else 0
         self.ways = [
             (self._compiled(way, min(together, size), programs), size) for way, size in ways
         ]
         self.first = ways[0][0]
 
+    def _content(self) -> tuple[Any, ...]:
+        """What all draws share, as an argument of `one`."""
+        return self.pair.simulator, self.pair.batch, self.measures
+
+    @staticmethod
+    def one(way: Any, tolerance: float, content: Any, key: Array, index: Array) -> dict[str, Array]:
+        """One draw, identified by one method."""
+        return _one(way, tolerance, content, key, index)[0]
+
     def __call__(self, first: int, count: int, device: Any = None) -> dict[str, np.ndarray]:
         left = np.arange(first, first + count, dtype=np.uint32)
         values: dict[str, np.ndarray] = {}
         with ThreadPoolExecutor(self.workers) as pool:
             for function, size in self.ways:
-                found = self._all(pool, function, left, size, device)
+                found = in_parts(pool, function, left, size, device)
                 lost = found.pop("converged") == 0.0
                 for name, value in found.items():
                     whole = values.setdefault(name, np.empty((count, *value.shape[1:])))
@@ -321,31 +347,14 @@ class _Evaluate:
             value[left - first] = np.nan
         return values
 
-    @staticmethod
-    def _all(
-        pool: ThreadPoolExecutor, function: Any, index: np.ndarray, size: int, device: Any
-    ) -> dict[str, np.ndarray]:
-        """A compiled function of draws, applied to `size` of them at a time."""
-        # The last part is padded to the same size, so that it needs no compilation.
-        full = np.concatenate([index, np.repeat(index[-1:], -len(index) % size)])
-
-        def run(part: np.ndarray) -> dict[str, Array]:
-            return jax.block_until_ready(function(jax.device_put(part, device)))
-
-        found = list(pool.map(run, full.reshape(-1, size)))
-        return {
-            name: np.concatenate([np.asarray(f[name]) for f in found])[: len(index)]
-            for name in found[0]
-        }
-
     def _compiled(self, way: Any, together: int, programs: Programs | None) -> Any:
         """One method of identification for many draws at once, as a function of their indices."""
-        function = partial(_one, way, self.tolerance)
+        function = partial(self.one, way, self.tolerance)
         if programs is None:
             # Closed over, so that everything equal in all draws is a constant to the compiler.
             fixed = partial(function, self.content, self.key)
             return jit_outermost(side_by_side(fixed, together))
-        name = way.__name__, self.tolerance, together
+        name = type(self).__name__, way.__name__, self.tolerance, together
         shared = programs.of(function, self.content, name, partial(side_by_side, together=together))
         return partial(shared, self.key)
 
@@ -355,7 +364,7 @@ class _Evaluate:
         numbers = hashlib.sha256(str(jax.tree.structure(content)).encode())
         for leaf in jax.tree.leaves(content):
             numbers.update(np.asarray(leaf).tobytes())
-        one = partial(_one, self.first, self.tolerance, self.content, self.key)
+        one = partial(self.one, self.first, self.tolerance, self.content, self.key)
         program = jax.make_jaxpr(one)(np.uint32(0))
         return {
             "seed": self.seed,
@@ -366,16 +375,61 @@ class _Evaluate:
         }
 
 
-def _one(way: Any, tolerance: float, content: Any, key: Array, index: Array) -> dict[str, Array]:
-    """One draw, identified by one method."""
+def _one(
+    way: Any, tolerance: float, content: Any, key: Array, index: Array
+) -> tuple[dict[str, Array], State]:
+    """The outputs of one draw, identified by one method, and what they were computed from."""
     simulator, batch, measures = content
     made = draw(simulator, jax.random.fold_in(key, index))
     found = way(batch, made.readings, tolerance=tolerance)
     shapes = batch.shape_values(found.theta)
     state = State(made.theta, made.shapes, found.theta, shapes, made.readings)
-    return {
+    outputs = {
         **{name: v for m in measures for name, v in m(state).items()},
         _STEPS: found.steps.astype(float),
         _RETRIED: jnp.asarray(0.0 if way is identify_one else 1.0),
         "converged": found.converged.astype(float),
     }
+    return outputs, state
+
+
+class PairEvaluate(_Evaluate):
+    """The scalar outputs of a range of draws, exact and by a linear identification of the same
+    machine and noise (`levels.LinearDraws`).
+    """
+
+    def __init__(
+        self,
+        pair: Pair,
+        measures: Sequence[Measure],
+        seed: int,
+        tolerance: float,
+        linear: Any,
+        programs: Programs | None = None,
+    ):
+        self.linear = linear
+        super().__init__(pair, measures, seed, tolerance, programs)
+
+    @staticmethod
+    def linear_name(name: str) -> str:
+        """Name of the linear result beside an output."""
+        return f"linear: {name}"
+
+    def _content(self) -> tuple[Any, ...]:
+        return (*super()._content(), self.linear)
+
+    @staticmethod
+    def one(way: Any, tolerance: float, content: Any, key: Array, index: Array) -> dict[str, Array]:
+        """One draw, identified by one method and by the linear one."""
+        simulator, batch, measures, linear = content
+        exact, state = _one(way, tolerance, content[:3], key, index)
+        found = linear.beside(simulator, state.true, jax.random.fold_in(key, index))
+        beside = State(state.true, state.true_shapes, found, batch.shape_values(found))
+        wanted = {o.name for m in measures for o in m.outputs if isinstance(o, Output)}
+        of_both = {"converged": exact["converged"]}
+        for measure in measures:
+            for name, value in measure(beside).items():
+                if name in wanted:
+                    of_both[name] = exact[name]
+                    of_both[PairEvaluate.linear_name(name)] = value
+        return of_both

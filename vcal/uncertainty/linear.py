@@ -14,13 +14,14 @@ identified parameters that it biases.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..effects.base import Effect
 from ..model.forward import effect_terms, observe_with_jacobian, port_values
 from ..model.simulate import ideal_readings
 from ..numerics.arrays import Array
@@ -134,16 +135,10 @@ def _derivatives(
     pair: Pair, measures: Sequence[Measure]
 ) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, "q k"], Float[np.ndarray, "q l"]]:
     """All quantities at the nominal machine, with derivatives by true and identified parameters."""
-    drawn = {i: {} for i in {item.effect for item in pair.simulator.shapes}}
-    for item in pair.simulator.shapes:
-        drawn[item.effect][item.name] = item.middle
+    drawn = _middle_shapes(pair)
     true = jnp.zeros(len(pair.truth.entries))
     # The fit of the nominal truth, which known effects that are not fitted displace.
-    s, batch = pair.simulator, pair.batch
-    still = ideal_readings(s, true, jnp.zeros((s.plan.rows, sum(s.fresh.counts))), drawn)
-    off = np.asarray(batch.instrument.difference(still, batch.nominal))
-    # Rounding must not count as an expectation: the length of an error has no derivative at zero.
-    off = np.where(np.abs(off) > _ROUNDING * np.asarray(s.sigma), off, 0.0)
+    batch, off = pair.batch, _nominal_residual(pair)
     found = batch.gain @ off.reshape(-1)
 
     def judged(both: Array) -> Array:
@@ -157,6 +152,90 @@ def _derivatives(
     value, _ = push(jnp.zeros(len(at)))
     slopes = np.stack([np.asarray(push(unit)[1]) for unit in jnp.eye(len(at))], 1)
     return np.asarray(value), slopes[:, : len(true)], slopes[:, len(true) :]
+
+
+def _middle_shapes(pair: Pair) -> dict[int, dict[str, Any]]:
+    """The middle of the drawn shape parameters of the truth (SI), by position of the effect."""
+    drawn: dict[int, dict[str, Any]] = {}
+    for item in pair.simulator.shapes:
+        drawn.setdefault(item.effect, {})[item.name] = item.middle
+    return drawn
+
+
+def _nominal_residual(pair: Pair) -> np.ndarray:
+    """Readings (n, m) of the nominal truth less those of the nominal fitted model."""
+    s, batch = pair.simulator, pair.batch
+    true = jnp.zeros(len(pair.truth.entries))
+    none = jnp.zeros((s.plan.rows, sum(s.fresh.counts)))
+    still = ideal_readings(s, true, none, _middle_shapes(pair))
+    off = np.asarray(batch.instrument.difference(still, batch.nominal))
+    # Rounding must not count as an expectation: the length of an error has no derivative at zero.
+    return np.where(np.abs(off) > _ROUNDING * np.asarray(s.sigma), off, 0.0)
+
+
+def _by_port(pair: Pair) -> tuple[np.ndarray, dict[int, dict[str, Any]]]:
+    """Derivatives of the reduced readings by the ports (n, m, p) at the nominal truth, and the
+    values of all its shape parameters.
+    """
+    model, simulator = pair.truth, pair.simulator
+    shapes: dict[int, dict[str, Any]] = {i: dict(v) for i, v in simulator.fixed.items()}
+    for i, values in _middle_shapes(pair).items():
+        middle = {name: float(value) for name, value in values.items()}
+        shapes[i] = {**shapes.get(i, {}), **middle}
+    terms = model.terms(simulator.plan, shapes)
+    nominal = port_values(terms, jnp.zeros(len(model.entries)), len(model.layout))
+    _, slopes = observe_with_jacobian(
+        model.chain, model.instrument, simulator.plan.position, simulator.rows, nominal
+    )
+    return np.asarray(model.instrument.reduce(slopes, simulator.plan)), shapes
+
+
+def _columns(pair: Pair, effect: Effect, by_port: np.ndarray, shape: dict[str, Any]) -> np.ndarray:
+    """Derivatives of all readings (nm, a) by the amplitudes of an effect of the truth, in solver
+    units.
+    """
+    n, m, _ = by_port.shape
+    own = effect_terms(effect, pair.truth.layout, pair.simulator.plan, shape)
+    columns = np.zeros((n * m, len(effect.amplitudes)))
+    moved = by_port[:, :, own.port] * np.asarray(own.values)[:, None, :]
+    np.add.at(columns.T, np.asarray(own.parameter), moved.reshape(n * m, -1).T)
+    return columns
+
+
+class LinearParts(NamedTuple):
+    """The identified parameters as a linear function, in solver units."""
+
+    at_nominal: Float[np.ndarray, " k"]
+    """Those of the nominal truth without noise."""
+    by_true: Float[np.ndarray, "k l"]
+    """Derivatives by the true amplitudes."""
+    by_noise: Float[np.ndarray, "k nm"]
+    """Derivatives by the noise of every reading, per standard deviation."""
+    by_scatter: Float[np.ndarray, "k ns"]
+    """The same by the random effects of every row, by row and then by effect."""
+
+
+def linear_parts(pair: Pair) -> LinearParts:
+    """The derivatives d found = H^-1 J' W' W dy of an identification at the nominal machine."""
+    batch, simulator = pair.batch, pair.simulator
+    gain = np.asarray(batch.gain)
+    by_port, shapes = _by_port(pair)
+    n, m, _ = by_port.shape
+    by_true = np.zeros((n * m, len(pair.truth.entries)))
+    for i, (effect, here) in enumerate(zip(pair.truth.effects, pair.truth.places, strict=True)):
+        by_true[:, here] = _columns(pair, effect, by_port, shapes.get(i, {}))
+    by_row = gain.reshape(len(gain), n, m)
+    scatter = np.zeros((len(gain), n, sum(simulator.fresh.counts)))
+    for column in simulator.scatter:
+        moved = np.einsum("knm,nm->kn", by_row, by_port[:, :, column.port])
+        for values, k in zip(column.values, column.parameter, strict=True):
+            scatter[:, :, int(k)] += moved * np.asarray(values)
+    return LinearParts(
+        gain @ _nominal_residual(pair).reshape(-1),
+        gain @ by_true,
+        gain * np.asarray(simulator.sigma).reshape(-1),
+        scatter.reshape(len(gain), -1),
+    )
 
 
 class Elements(NamedTuple):
@@ -184,28 +263,14 @@ def sources(pair: Pair) -> dict[str, Elements]:
     matrix, R = A A'.
     """
     model, simulator = pair.truth, pair.simulator
-    plan, layout = simulator.plan, model.layout
-    drawn = {item.effect: {} for item in simulator.shapes}
-    for item in simulator.shapes:
-        drawn[item.effect][item.name] = float(item.middle)
-    shapes = {i: dict(v) for i, v in simulator.fixed.items()}
-    for i, values in drawn.items():
-        shapes[i] = {**shapes.get(i, {}), **values}
-    terms = model.terms(plan, shapes)
-    nominal = port_values(terms, jnp.zeros(len(model.entries)), len(layout))
-    _, slopes = observe_with_jacobian(
-        model.chain, model.instrument, plan.position, simulator.rows, nominal
-    )
-    by_port = np.asarray(model.instrument.reduce(slopes, plan))
+    plan = simulator.plan
+    by_port, shapes = _by_port(pair)
     n, m, _ = by_port.shape
     found: dict[str, Elements] = {}
     informed = np.asarray(simulator.amplitudes.informed)
     root = simulator.amplitudes.root
     for i, (effect, here) in enumerate(zip(model.effects, model.places, strict=True)):
-        own = effect_terms(effect, layout, plan, shapes.get(i, {}))
-        columns = np.zeros((n * m, len(effect.amplitudes)))
-        moved = by_port[:, :, own.port] * np.asarray(own.values)[:, None, :]
-        np.add.at(columns.T, np.asarray(own.parameter), moved.reshape(n * m, -1).T)
+        columns = _columns(pair, effect, by_port, shapes.get(i, {}))
         parameters = root[:, here][:, informed[here] > 0.0]
         if parameters.shape[1]:
             found[effect.key] = Elements(parameters, columns @ parameters[here])
