@@ -27,6 +27,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray
+from scipy.special import expit, logit
 
 from ..errors import StudyError
 from ..labelled import labelling
@@ -57,6 +58,9 @@ _LINEAR_KEY = 2**32 - 1
 """`fold_in` index of the key of the linear draws: pairs use those of `monte_carlo`, from zero."""
 _SPARE = 1.2
 """Factor on the number of pairs that the pilot asks for, which is an estimate."""
+_SHARES, _REACH = 129, 2.5
+"""Quantiles of the linear draws around an end, between which it is interpolated, and how far they
+reach in the logarithm of the odds of their shares."""
 _COUNTED = 6
 """Least number of pairs from which a share is counted."""
 _SHOWN = 8
@@ -402,19 +406,23 @@ class _Statistics:
         """Quantile of every output and its standard error: where F_N(q) + mean(1[Y<=q] - 1[L<=q])
         is p.
         """
-
-        def of_linear(probability: np.ndarray) -> np.ndarray:
-            inside = np.clip(probability, 1.0 / many.draws, 1.0 - 1.0 / many.draws)
-            pairs = zip(labels, inside, strict=True)
-            return np.array([many.quantile(label, float(q)) for label, q in pairs])
-
-        # As the quantile of the linear draws moves, so does the correction; it settles at once.
-        at = of_linear(np.full(len(labels), p))
-        for _ in range(3):
-            below = self._below(at)
-            at = of_linear(p - below.mean(0))
-        step = 0.25 * min(p, 1.0 - p)
-        wide = of_linear(np.full(len(labels), p + step)) - of_linear(np.full(len(labels), p - step))
-        slope = wide / (2.0 * step)  # 1 / density
+        shares = expit(logit(p) + np.linspace(-_REACH, _REACH, _SHARES))
+        table = _quantiles(many, labels, shares)
+        # Shares of the exact draws below each entry; they increase but for the chance of the pairs.
+        below = np.array([self._below(ends).mean(0) for ends in table])
+        of_exact = np.maximum.accumulate(shares[:, None] + below, axis=0)
+        at = np.array([np.interp(p, *one) for one in zip(of_exact.T, table.T, strict=True)])
+        near = _SHARES // 8
+        middle = _SHARES // 2
+        slope = (table[middle + near] - table[middle - near]) / (
+            shares[middle + near] - shares[middle - near]
+        )  # 1 / density
         variance = p * (1.0 - p) / many.draws + self._between(at, slope) / len(self.exact)
         return at, slope * np.sqrt(variance)
+
+
+def _quantiles(many: Ensemble, labels: Sequence[str], shares: np.ndarray) -> np.ndarray:
+    """Quantiles (shares, q) of the linear draws."""
+    if many.kept == "exact":
+        return np.quantile(many.values[:, : len(labels)], shares, axis=0, method="hazen")
+    return np.array([[many.quantile(label, float(p)) for label in labels] for p in shares])
