@@ -104,6 +104,18 @@ def test_one_wrong_column_is_named_first_and_never_ordered(tmp_path, changes, sa
     assert "with the machine" in message and "correct that" not in message
 
 
+def test_an_instrument_that_moved_is_left_to_the_loop(tmp_path):
+    """No change of the declaration explains it. Where it is too far, the columns are asked for."""
+
+    def moved(by):
+        return {"range_mm": lambda d: d["range_mm"] + by * (np.arange(len(d["range_mm"])) >= 40)}
+
+    study = vcal.load_study(table_study(tmp_path / "near", **moved(40.0)))
+    assert study.measurement.rows == 80
+    with pytest.raises(StudyError, match="compare signs, units and order of the columns"):
+        vcal.load_study(table_study(tmp_path / "far", **moved(600.0)))
+
+
 def test_a_rotary_sign_comes_before_a_mirrored_linear_axis(tmp_path):
     """Where both make the readings follow: a point on the mirror plane of a table."""
     data = rotating_table()

@@ -22,6 +22,8 @@ from .follow import Change, with_these
 
 _MOST_OFF = 0.05
 """Largest plausible error of an arm, as a share of the size of the measured region."""
+_ANY_CAUSE = 2.5
+"""Multiple of it above which readings are refused without a known cause."""
 _LEAST_M = 2e-3
 _PLAUSIBLE, _BETTER = 0.01, 8.0
 """Share of the size from which changes are tried, as an arm is seldom that wrong; and least factor
@@ -79,7 +81,7 @@ def check_arm_follows(
     mirrored = seen[some] * np.array([-1.0, 1.0, 1.0])
     tried.append(("the other sign in one coordinate of all reflectors", left(same, mirrored)))
     follow = [pair for pair in tried if pair[1] <= min(allowed, now / _BETTER)]
-    if now <= allowed and not follow:
+    if now <= _ANY_CAUSE * allowed and not follow:
         return
     bound = allowed if now > allowed else now / _BETTER
     causes = with_these(follow, min(allowed, now / _BETTER))

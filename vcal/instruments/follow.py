@@ -21,6 +21,10 @@ from .conditions import LINEAR, ROTARY, file_column
 
 _MOST_OFF = 0.02
 """Largest plausible error of a machine, as a share of the size of the measured region."""
+_ANY_CAUSE = 4.0
+"""Multiple of the largest plausible error above which readings are refused without a known cause. A
+wrong sign, unit, order or chain moves them farther; below it, an instrument that was moved or a
+joint that yields is to be found."""
 _PLANE = 2
 """Least dimension of the measured region for a comparison of readings with linear axes."""
 _LEAST_M = 1e-3
@@ -113,7 +117,8 @@ def check_follows(
     by default, and `readings` are changes of the columns of readings. `mirrors`: whether a mirror
     image is another one. The median is compared, since a few outliers are removed later. Raises
     `RowError`, which lists every single change with which the readings follow, the likeliest first;
-    without one, it asks to compare the columns with the things named in `beside`.
+    without one, and where they are far off (`_ANY_CAUSE`), it asks to compare the columns with the
+    things named in `beside`.
     """
     position = np.asarray(plan.position)
     linear = position[:, [axis in LINEAR for axis in plan.axes]]
@@ -125,6 +130,9 @@ def check_follows(
     found = off(points(chain, position))
     if np.median(found) <= allowed:
         return
+    why = cause(chain, plan.axes, position, off, allowed, points, readings, mirrors)
+    if not why and np.median(found) <= _ANY_CAUSE * allowed:
+        return
     row = int(np.argmax(found))
     raise RowError(
         row,
@@ -132,7 +140,7 @@ def check_follows(
         f"a reading {1e3 * found[row]:.4g} mm away from the tool point at the axis positions, in "
         f"half of the rows more than {1e3 * np.median(found):.4g} mm",
         f"readings that follow the positions to {1e3 * allowed:.4g} mm",
-        cause(chain, plan.axes, position, off, allowed, points, readings, mirrors)
+        why
         or "compare signs, units and order of the columns of positions and readings, "
         f"{'' if chain.linear else 'at_mm of the rotary axes, '}tool_offset_mm and the chain with "
         f"{beside}",
