@@ -243,6 +243,11 @@ def smallest_sizes(found: dict) -> str:
     return table("effect,named (95 %),no size stated", rows)
 
 
+def smallest_size_of_all(found: dict) -> str:
+    rows = [[_of(found["all"]), sum(row["not_stated"] for row in found["rows"])]]
+    return table("named (95 %),no size stated", rows)
+
+
 def declared_sizes(found: dict) -> str:
     keys = ("misfit said", "false names", "anything")
     rows = (
@@ -464,6 +469,33 @@ def compensation(found: dict) -> str:
     return table(head, rows)
 
 
+def linuxcnc(found: dict) -> str:
+    rows = (
+        [
+            row["kind"],
+            f"`{row['format']}`",
+            row["machines"],
+            *(f"{row[key]:.3f}" for key in ("before_um", "foretold_um", "after_um")),
+            f"{row['after_over_foretold']:.3f}",
+        ]
+        for row in found["drives"]
+    )
+    return table("effect,format,machines,before um,foretold um,after um,after / foretold", rows)
+
+
+def two_level(found: dict) -> str:
+    seconds = found["seconds"]
+    rows = [
+        ["time of exact draws, s", f"{seconds['exact']['wall_s']:.1f}"],
+        ["time of two levels, s", f"{seconds['two-level']['wall_s']:.1f}"],
+        ["times faster", f"{found['times_faster']:.1f}"],
+        ["linear and exact draws", f"{found['linear']:,} and {found['exact']:,}"],
+        ["within 3 standard errors of exact draws: u, low, high",
+         ", ".join(f"{100 * v:.2f} %" for v in found["within_3_standard_errors"].values())],
+    ]  # fmt: skip
+    return table(f"{found['draws']:,} draws,{found['repeats']} repeats", rows)
+
+
 TABLES: dict[str, tuple[Callable[..., str], tuple[str, ...]]] = {
     "results": (results, ()),
     **{
@@ -471,13 +503,15 @@ TABLES: dict[str, tuple[Callable[..., str], tuple[str, ...]]] = {
         for f in (
             large_sizes,
             declared_sizes,
-            smallest_sizes,
             aliases,
             practice,
             speed,
             compensation,
+            linuxcnc,
+            two_level,
         )
     },
+    "smallest_size_of_all": (smallest_size_of_all, ("smallest_sizes",)),
     "within_u": (within_u, ("within_u", "within_u_new")),
     "power_fresh": (power_made, ("power_fresh",)),
     "power_instruments_new": (power_made, ("power_new",)),
@@ -499,7 +533,15 @@ LONG = {
     },
     **{
         f.__name__: (f, (f.__name__,))
-        for f in (several, five_axes, laser_frame, artefact_design, interrupted, strd)
+        for f in (
+            smallest_sizes,
+            several,
+            five_axes,
+            laser_frame,
+            artefact_design,
+            interrupted,
+            strd,
+        )
     },
     "campaigns": (campaigns, ("batch", "campaigns_gpu")),
     "dynamics": (dynamics, ("dynamics", "dynamics_gpu")),

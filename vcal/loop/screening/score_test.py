@@ -34,6 +34,9 @@ follows the fit itself."""
 _CANCELLED = 1e-24
 """Squared share of the displacements at the ports that reaches the readings, below which it is
 rounding: the readings do not depend on the port, or its parts cancel."""
+_AROUND = 3
+"""Steps of the grid around its best step within which a parameter without a derivative, such as a
+moment, is looked for: between two steps the statistic may be higher than at both."""
 _CHUNK = 512
 _ROOM = 2**28
 """Most bytes of projections on ports that are kept. Those of a larger plan are made again for a
@@ -236,7 +239,7 @@ class ScoreTest:
         """
         grids = dict(effect_grids(peak.effect, self.fit))
         names = [p.name for p in peak.effect.shapes if p.smooth]
-        # Parameters without a derivative: all distinct values between the neighbours.
+        # Parameters without a derivative: all distinct values around it.
         between = {}
         for name, edges in peak.effect.edges(self.fit.measurement.plan).items():
             every = 0.5 * (edges[1:] + edges[:-1])
@@ -444,10 +447,10 @@ class ScoreTest:
 
 
 def _neighbours(grid: np.ndarray, value: float) -> tuple[float, float]:
-    """The grid values before and after the one nearest to a value."""
+    """The grid values `_AROUND` steps before and after the one nearest to a value."""
     order = np.sort(grid)
     i = int(np.argmin(np.abs(order - value)))
-    return float(order[max(i - 1, 0)]), float(order[min(i + 1, len(order) - 1)])
+    return float(order[max(i - _AROUND, 0)]), float(order[min(i + _AROUND, len(order) - 1)])
 
 
 def effect_grids(effect: Effect, fit: Fit) -> Mapping[str, np.ndarray]:

@@ -24,11 +24,11 @@ from ..weighing.subsets import MOST, Subset, smallest_subset
 from ..weighing.weighing import DISTINGUISHABLE, Names, classes_of, outdoes
 from .state import State, at_declared, chi2_per_dof, rescored
 
-_MARGIN = 30.0
+_MARGIN, _UNRESOLVED = 30.0, 0.3
 _CLOSE = 8.0
-"""Candidates whose linear log evidence is behind the best by more than `_MARGIN` are not refined;
-after that, those behind by more than `_CLOSE` are not refitted. Their weight is below one in a
-thousand."""
+"""Candidates whose linear log evidence is behind the best by more than `_MARGIN`, and by more than
+that share of it which a grid may miss between two steps, are not refined; after that, those behind
+by more than `_CLOSE` are not refitted. Their weight is below one in a thousand."""
 _REFITS = 12
 """Most candidates that are refitted, without further shapes of them that fit alike."""
 _ROUNDS = 3
@@ -46,7 +46,8 @@ def shortlist(
     """
     if not worth:
         return []
-    least = max(p.log_bayes_at_its_size for p in worth) - _MARGIN
+    best = max(p.log_bayes_at_its_size for p in worth)
+    least = best - max(_MARGIN, _UNRESOLVED * best)
     near = [p for p in worth if p.log_bayes_at_its_size > least]
     ids = {id(p) for p in near}
     near += [p for p in others if id(p) not in ids and p.log_bayes_at_its_size > least]
