@@ -45,15 +45,15 @@ def coming():
 
 
 def settled():
-    # Offsets follow the command with a delay; nothing may move for 80 ms. On a busy computer the
-    # controller may stand still for longer.
+    # Offsets follow the command with a delay; nothing may move for 80 ms, or for 2 s where a table
+    # has not come: on a busy computer the controller may stand still for longer than 80 ms.
     last, since, end = motors(), time.time(), time.time() + 10.0
     while time.time() < end:
         time.sleep(0.01)
-        now = motors()
-        if max(abs(a - b) for a, b in zip(now, last)) > 1e-9 or coming() > 1e-9:
+        now, still = motors(), time.time() - since
+        if max(abs(a - b) for a, b in zip(now, last)) > 1e-9:
             last, since = now, time.time()
-        elif time.time() - since > 0.08:
+        elif still > (0.08 if coming() < 5e-5 else 2.0):
             return now
     raise SystemExit("the motors did not come to rest")
 

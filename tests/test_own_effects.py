@@ -503,7 +503,8 @@ def test_readings_that_were_exchanged_in_a_program(small_tracker_study):
     [
         ("azimuth_rad", lambda cell: str(-float(cell)), "the readings are a mirror image of that"),
         ("x_mm", lambda cell: str(2000.0 - float(cell)), "the readings are a mirror image of that"),
-        ("azimuth_rad", lambda cell: str(float(cell) * 0.9), "compare signs, units and order"),
+        ("azimuth_rad", lambda cell: str(float(cell) * 0.9), "degrees instead of gon in azimuth_r"),
+        ("azimuth_rad", lambda cell: str(float(cell) * 1.9), "compare signs, units and order"),
     ],
 )
 def test_readings_that_do_not_follow_linear_axes(small_tracker_study, column, change, said):

@@ -101,10 +101,16 @@ def read_otherwise_of(
             found.append((f"{unit} turned into millimetres in {', '.join(lengths)}", changed))
     if reads == "polar":
         angles = POLAR[1:]
-        for unit, factor in (("degrees", np.pi / 180.0), ("gon", np.pi / 200.0)):
+        units = (
+            ("degrees turned into radians", np.pi / 180.0),
+            ("gon turned into radians", np.pi / 200.0),
+            ("degrees instead of gon", 10.0 / 9.0),
+            ("gon instead of degrees", 0.9),
+        )
+        for words, factor in units:
             for names in (angles, angles[:1], angles[1:]):
                 changed = {name: factor * columns[name] for name in names}
-                found.append((f"{unit} turned into radians in {', '.join(names)}", changed))
+                found.append((f"{words} in {', '.join(names)}", changed))
         zenith = {angles[1]: 0.5 * np.pi - columns[angles[1]]}
         found.append((f"elevations instead of zenith angles in {angles[1]}", zenith))
         swapped = {angles[0]: columns[angles[1]], angles[1]: columns[angles[0]]}
