@@ -1,7 +1,5 @@
 """``python -m vcal`` is ``vcal``, whose entry point this is."""
 
-import gc
-
 from .startup import importing
 
 
@@ -9,7 +7,6 @@ def main() -> None:
     """Run the command line; the process ends with its exit code."""
     with importing():
         from .cli import main as run
-    gc.freeze()  # what has been imported stays; collections need not look at it again
     run()
 
 

@@ -1,6 +1,7 @@
 """What all commands share: precision, compilation cache, progress display and error messages."""
 
 import functools
+import gc
 import os
 import signal
 import sys
@@ -113,6 +114,7 @@ def import_modules() -> None:
     """Import what all commands use, JAX with it: after the help, which does not need it."""
     with importing():
         from .. import compensation, loop, study  # noqa: F401
+    gc.freeze()  # what has been imported stays; collections need not look at it again
 
 
 def start() -> None:
