@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -33,6 +33,13 @@ _FEWEST_ROWS = 3
 _TOOL_POINT = tuple(f"tcp_{c}_mm" for c in "xyz")
 _MOST_OFF = 0.02
 """Share of the size of the work space; a larger deviation is no error of a machine."""
+_ALONE, _NEAR = 2, 0.3
+"""Most rows with an error of at least that share of the largest, where single rows are wrong."""
+_ANY_ROW = 4.0
+"""Multiple of it up to which many true points may be off where no sign, unit or order is wrong: a
+machine that drifts by centimetres is to be found."""
+_BETTER = 0.25
+"""Share of the error that a change of the columns may leave where it is the cause."""
 _STILL_MM = 0.02
 """Scatter of the read-back positions of an axis that stands still."""
 _LEAST_SHARE = 0.002
@@ -396,11 +403,17 @@ def _check_tool_points(table: Table, chain: Chain) -> None:
     position = np.column_stack([table[name] / factor for name, factor in columns])
     commanded = 1e3 * chain.tool_point(position)
     found = np.column_stack([table[name] for name in _TOOL_POINT])
-    turn, place = best_rigid(found, commanded)
-    off = np.linalg.norm(found @ turn.T + place - commanded, axis=1)
+
+    def left(points: np.ndarray) -> np.ndarray:
+        turn, place = best_rigid(points, commanded)
+        return np.linalg.norm(points @ turn.T + place - commanded, axis=1)
+
+    off = left(found)
     size = np.linalg.norm(commanded - commanded.mean(0), axis=1).max()
     row = int(np.argmax(off))
-    if off[row] > _MOST_OFF * size:
+    columns_wrong = any(left(other).max() < _BETTER * off[row] for other in _otherwise(found))
+    plain = columns_wrong or np.count_nonzero(off > _NEAR * off[row]) <= _ALONE
+    if off[row] > (1.0 if plain else _ANY_ROW) * _MOST_OFF * size:
         raise refusal(
             table.name,
             f"{table.where(row)}, columns {listed(_TOOL_POINT)}",
@@ -409,6 +422,17 @@ def _check_tool_points(table: Table, chain: Chain) -> None:
             f"one that follows the positions to {_MOST_OFF * size:.4g} mm, all in millimetres",
             "correct the unit, sign and order of these columns, or the row",
         )
+
+
+def _otherwise(points: np.ndarray) -> Iterator[np.ndarray]:
+    """Points (n, 3) after single changes of their columns: a sign or the order, which a rotation
+    brings to the same mirror image; a unit.
+    """
+    yield points * [-1.0, 1.0, 1.0]
+    for factor in (25.4, 1.0 / 25.4, 1e3, 1e-3):
+        yield factor * points
+        for column in range(3):
+            yield points * np.where(np.arange(3) == column, factor, 1.0)
 
 
 def _check_travel(table: Table, name: str, chain: Chain) -> None:
