@@ -94,7 +94,11 @@ class LinuxcncScrew(Format[ScrewOptions]):
     sign = "add to the command: motor = command + trim, trim = -(positioning error)"
     units = "mm ([TRAJ]LINEAR_UNITS = mm)"
     resolution = "1e-6 mm, linear between the rows, constant beyond them"
-    limits = f"linear axes X, Y, Z as joints 0, 1, 2; at most {_ROWS} rows, ascending"
+    # Seen on a running controller: benchmarks/linuxcnc.py, and the how-to page on compensation.
+    limits = (
+        f"linear axes X, Y, Z as joints 0, 1, 2; at most {_ROWS} rows, ascending; after a move "
+        "LinuxCNC may use the values of the other direction"
+    )
     options = ScrewOptions
 
     def refuse(self, machine: IdentifiedMachine, options: ScrewOptions) -> str | None:
