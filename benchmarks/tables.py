@@ -494,9 +494,7 @@ def two_level(found: dict) -> str:
         f"{100 * min(found['within_3_standard_errors'].values()):.2f}",
         found["repeats"],
     ]
-    head = (
-        "draws,exact s,two-level s,times faster,linear + exact,within 3 s.e. %,repeats"
-    )
+    head = "draws,exact s,two-level s,times faster,linear + exact,within 3 s.e. %,repeats"
     return table(head, [row])
 
 
