@@ -267,7 +267,7 @@ def _read(
                 return Assigned(name, (i,), name)
         return _own(grid, i, target, text, source=name)
     if _TIME not in names and _words(name) in _TIME_NAMES and optional(_TIME) is not None:
-        kind = times.looks_like_times(grid.columns[i].texts[:50])
+        kind = times.looks_like_times(grid.columns[i].first(50))
         if kind:
             return Assigned(_TIME, (i,), name, format=_iso(grid, name, (i,), kind))
     return Assigned(name, (i,), name)
@@ -277,7 +277,7 @@ def _own(grid: Grid, i: int, name: str, text: str, source: str = "") -> Assigned
     """A column of a known quantity, in the unit `text` of the header or of the units row."""
     source, to = source or name, unit_of_name(name)
     if to is not None and to.kind == "time":
-        kind = times.looks_like_times(grid.columns[i].texts[:50])
+        kind = times.looks_like_times(grid.columns[i].first(50))
         if kind:
             return Assigned(name, (i,), source, format=_iso(grid, source, (i,), kind))
     if not text:

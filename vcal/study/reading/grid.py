@@ -66,6 +66,10 @@ class Cells:
             return self._texts
         return [self.text(row) for row in range(len(self))]
 
+    def first(self, count: int) -> list[str]:
+        """The texts of the first cells, at most `count`."""
+        return [self.text(row) for row in range(min(count, len(self)))]
+
     def text(self, row: int) -> str:
         """The text of one cell, whose row counts from 0."""
         if self._texts is not None:
