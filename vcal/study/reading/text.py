@@ -243,10 +243,11 @@ def _fast(text: str, name: str, form: TableFormat, mark: str) -> Grid | None:
         return None
     columns: dict[int, Cells] = {}
     try:
-        values = _parsed(body, mark, numeric, float)
+        rows = body.split("\n")  # numpy reads a list a fifth faster than a stream
+        values = _parsed(rows, mark, numeric, float)
         columns |= {i: Cells(values=values[:, k]) for k, i in enumerate(numeric)}
         for i in {*range(len(header))} - {*numeric}:
-            columns[i] = Cells(_parsed(body, mark, [i], str)[:, 0].tolist())
+            columns[i] = Cells(_parsed(rows, mark, [i], str)[:, 0].tolist())
     except ValueError:
         return None
     line = text.count("\n", 0, end) + 2
@@ -254,8 +255,6 @@ def _fast(text: str, name: str, form: TableFormat, mark: str) -> Grid | None:
     return Grid(name, kind, header, [columns[i] for i in range(len(header))], lines, form=form)
 
 
-def _parsed(body: str, mark: str, columns: list[int], kind: type) -> np.ndarray:
-    """Columns of a text as numbers or texts (n, k)."""
-    return np.loadtxt(
-        io.StringIO(body), dtype=kind, delimiter=mark, usecols=columns, ndmin=2, comments=None
-    )
+def _parsed(rows: list[str], mark: str, columns: list[int], kind: type) -> np.ndarray:
+    """Columns of rows of text as numbers or texts (n, k)."""
+    return np.loadtxt(rows, dtype=kind, delimiter=mark, usecols=columns, ndmin=2, comments=None)
