@@ -36,7 +36,7 @@ from .ensemble import Ensemble
 from .intervals import Kind
 from .outputs import Field, Output
 from .programs import Programs
-from .quantities import Measure, Pair, ParameterErrors, Quantity, State
+from .quantities import Measure, Pair, ParameterErrors, Quantity, State, scalars
 from .streaming import MOST, Progress, stream
 
 _STEPS = "identification: exact gradients"
@@ -425,11 +425,7 @@ class PairEvaluate(_Evaluate):
         exact, state = _one(way, tolerance, content[:3], key, index)
         found = linear.beside(simulator, state.true, jax.random.fold_in(key, index))
         beside = State(state.true, state.true_shapes, found, batch.shape_values(found))
-        wanted = {o.name for m in measures for o in m.outputs if isinstance(o, Output)}
         of_both = {"converged": exact["converged"]}
-        for measure in measures:
-            for name, value in measure(beside).items():
-                if name in wanted:
-                    of_both[name] = exact[name]
-                    of_both[PairEvaluate.linear_name(name)] = value
+        for name, value in scalars(measures, beside).items():
+            of_both |= {name: exact[name], PairEvaluate.linear_name(name): value}
         return of_both

@@ -42,7 +42,7 @@ from .intervals import check_coverage
 from .linear import linear_parts
 from .outputs import Output
 from .programs import Programs
-from .quantities import Measure, Pair, ParameterErrors, Quantity, State
+from .quantities import Measure, Pair, ParameterErrors, Quantity, State, scalars
 from .streaming import Progress, stream
 
 EXPLAINED = 0.99
@@ -303,12 +303,6 @@ class _LinearEvaluate:
         index = np.arange(first, first + _TOGETHER, dtype=np.uint32)
         values = self._function(index, scores, noise)
         return {name: np.asarray(value) for name, value in values.items()}
-
-
-def scalars(measures: Sequence[Measure], state: State) -> dict[str, Array]:
-    """The scalar outputs of one draw, by name."""
-    wanted = {o.name for m in measures for o in m.outputs if isinstance(o, Output)}
-    return {name: v for m in measures for name, v in m(state).items() if name in wanted}
 
 
 @dataclass(frozen=True)

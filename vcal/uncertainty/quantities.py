@@ -1,7 +1,7 @@
 """Quantities of a virtual calibration: functions of the true and of the identified parameters."""
 
 import abc
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -68,6 +68,12 @@ class Measure(eqx.Module):
     @abc.abstractmethod
     def __call__(self, state: State) -> dict[str, Array]:
         """Values by name, in um, urad or the units of the parameters."""
+
+
+def scalars(measures: Sequence[Measure], state: State) -> dict[str, Array]:
+    """The scalar outputs of one draw, by name."""
+    wanted = {o.name for m in measures for o in m.outputs if isinstance(o, Output)}
+    return {name: v for m in measures for name, v in m(state).items() if name in wanted}
 
 
 class Quantity(abc.ABC):
