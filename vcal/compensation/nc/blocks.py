@@ -80,28 +80,30 @@ def lines(text: str) -> Iterator[tuple[int, str, str]]:
 def read_block(line: int, text: str, eol: str) -> Block:
     """The block of a line. What it means is decided later; nothing is raised here."""
     block = Block(line, text, eol)
-    start = _START.match(text)
-    assert start is not None
-    block.deleted = start["slash"] is not None
-    at = start.end()
+    at = 0
+    if not "A" <= text[:1] <= "z":  # blanks, a slash or a byte order mark
+        start = _START.match(text)
+        assert start is not None
+        block.deleted = start["slash"] is not None
+        at = start.end()
     if text.startswith("%", at):
         block.kind = "percent"
         return block
     words = block.words
     for found in _TOKEN.finditer(text, at):
-        begin = found.start()
+        begin, end = found.span()
         if begin != at and text[at:begin].strip(" \t"):
             return _special(block, at)
-        at = found.end()
-        number = found[2]
+        at = end
+        letter, number = found.group(1, 2)
         if number is not None:
-            kept = len(number) - len(number.rstrip(" \t"))
-            at -= kept
+            if number[-1] in " \t":
+                at -= len(number) - len(number.rstrip(" \t"))
             try:
                 value = float(number)
             except ValueError:
                 value = float(number.replace(" ", "").replace("\t", ""))
-            words.append(Word(found[1].upper(), value, begin, at))
+            words.append(Word(letter.upper(), value, begin, at))
     if at != len(text) and text[at:].strip(" \t\x00\x1a"):
         return _special(block, at)
     if words and words[0].letter in "NO" and any(w.letter == "O" for w in words[:2]):

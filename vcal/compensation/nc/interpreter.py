@@ -10,6 +10,7 @@ from .options import NcOptions
 
 _AXES = "XYZ"
 _OTHERS = frozenset("ABCUVW")
+_CENTRES = frozenset("IJKR")
 _CENTRE = {17: ("I", "J"), 18: ("K", "I"), 19: ("J", "K")}
 
 
@@ -155,7 +156,7 @@ class Interpreter:
             if left is not None:
                 left.named, left.motion = named, self.state.motion if named else None
                 return left
-        for letter in _OTHERS.intersection(letters):
+        for letter in sorted(_OTHERS.intersection(letters)):
             self.state.other_axis(block, letter, letters[letter])
         if not axes and not block.polar and not self._is_full_circle(letters):
             return Left(block, named, self.state.motion if named else None)
@@ -216,12 +217,12 @@ class Interpreter:
     def _unreadable_move(self, block: Block, letters: dict[str, Word]) -> Cause | None:
         if self.state.motion is None:
             return self.state.cause(block.line, "axis words without a code of motion")
-        if self.state.motion < 2 and any(c in letters for c in "IJKR"):
+        if self.state.motion < 2 and not _CENTRES.isdisjoint(letters):
             return self.state.cause(block.line, "words I, J, K or R in a straight move")
         if block.polar:
             return self.state.cause(block.line, "polar words are not read")
-        single = [w for w in block.words if w.letter not in "GM"]
-        if len(single) != sum(c not in "GM" for c in letters):
+        twice = len(block.words) != len(letters)
+        if twice and sum(w.letter not in "GM" for w in block.words) != len({*letters} - {*"GM"}):
             return self.state.cause(block.line, "a letter occurs twice in a block")
         return None
 
@@ -255,7 +256,7 @@ class Interpreter:
         else:
             pieces = [line_piece(start, end, self.state.directions, tool)]
         self.state.position = [*end]
-        if any(not _has_point(block.text, w) for w in axes.values()):
+        if "point" not in self.state.notes and _without_point(block.text, axes):
             text = "numbers without a decimal point are in the unit of the program"
             self.state.note("point", text, block.line)
         if not self.state.units_named:
@@ -382,5 +383,5 @@ def _order(code: int) -> int:
 _OF_MOTION = codes.CYCLES | codes.MOTIONS.keys()
 
 
-def _has_point(text: str, word: Word) -> bool:
-    return "." in text[word.start : word.end]
+def _without_point(text: str, axes: dict[int, Word]) -> bool:
+    return any("." not in text[word.start : word.end] for word in axes.values())

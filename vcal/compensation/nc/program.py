@@ -139,6 +139,7 @@ class _Correction:
             if isinstance(step, Move):
                 pieces += step.pieces
         splitting = split(pieces, self.displacement, self.options) if pieces else None
+        sizes = splitting.largest.tolist() if splitting else []
         at, out = 0, []
         for step in steps:
             self.lines_in += 1
@@ -148,7 +149,7 @@ class _Correction:
             else:
                 rows = slice(at, at + len(step.pieces))
                 at = rows.stop
-                largest = float(splitting.largest[rows].max())
+                largest = max(sizes[rows])
                 if largest > self.largest:
                     self.largest, self.largest_line = largest, step.block.line
                 self.moves += 1

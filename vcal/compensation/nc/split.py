@@ -118,12 +118,18 @@ def _sampled(
     start, end = (np.array([getattr(p, k) for p in pieces]) for k in ("start", "end"))
     wanted = start[owner] + share[:, None] * (end - start)[owner]
     _on_arcs(pieces, owner, share, wanted)
-    directions = np.array([p.directions for p in pieces])[owner]
-    tools = None
-    if options.tool_lengths_mm is not None:
-        tools = np.array([p.tool_length for p in pieces])[owner]
-    found = 1e3 * corrections(displacement, Points(1e-3 * wanted, directions, tools))
-    return _Samples(first, wanted, found)
+    wanted[first[1:] - 1] = end
+    directions = np.array([p.directions for p in pieces])
+    tools = np.array([p.tool_length for p in pieces])
+    # Most pieces begin where the one before ends: the correction there is computed once.
+    again = (wanted[first[1:-1]] == end[:-1]).all(axis=1) & (tools[1:] == tools[:-1])
+    again &= (directions[1:] == directions[:-1]).all(axis=1)
+    new = np.ones(len(owner), bool)
+    new[first[1:-1][again]] = False
+    at = owner[new]
+    given = tools[at] if options.tool_lengths_mm is not None else None
+    found = 1e3 * corrections(displacement, Points(1e-3 * wanted[new], directions[at], given))
+    return _Samples(first, wanted, found[np.cumsum(new) - 1])
 
 
 def _on_arcs(pieces: list[Piece], owner: np.ndarray, share: np.ndarray, wanted: np.ndarray) -> None:

@@ -1,6 +1,7 @@
 """Corrected blocks as text. Words that change are replaced in place; the rest stays as it is."""
 
 import math
+import operator
 from decimal import Decimal
 from typing import NamedTuple
 
@@ -309,8 +310,7 @@ class Writer:
 
     def _line(self, block: Block, words: list[str]) -> str:
         text = self.separator.join(words)
-        lower = any(block.text[w.start].islower() for w in block.words)
-        return ("/" if block.deleted else "") + (text.lower() if lower else text)
+        return ("/" if block.deleted else "") + (text.lower() if _is_lower(block) else text)
 
     def _with_motion(self, block: Block, motion: int) -> str:
         edit = _Edit(block, self.separator)
@@ -335,6 +335,13 @@ class Writer:
 
 
 _ZEROS = ("0.0", "-0.0")
+_PLACE = operator.itemgetter(0, 1)
+
+
+def _is_lower(block: Block) -> bool:
+    """Whether a word of the block is written in lower case."""
+    text = block.text
+    return not text.isupper() and any(text[w.start].islower() for w in block.words)
 
 
 class _Edit:
@@ -346,7 +353,7 @@ class _Edit:
         self.inserted: list[str] = []
         self.first: list[str] = []
         self.end: list[str] = []
-        self.lower = any(block.text[w.start].islower() for w in block.words)
+        self.lower = _is_lower(block)
 
     def replace(self, word: Word, text: str) -> None:
         self.changes[word.start] = (word.end, text)
@@ -370,11 +377,20 @@ class _Edit:
 
     def text(self) -> str:
         """The changed line."""
+        parts: list[tuple[int, int, str]] = [(a, b, t) for a, (b, t) in self.changes.items()]
+        if self.first or self.inserted or self.end:
+            self._insert(parts)
+        line, at, out = self.block.text, 0, []
+        for start, end, text in sorted(parts, key=_PLACE):
+            out += [line[at:start], text]
+            at = max(at, start, end)
+        return "".join(out) + line[at:]
+
+    def _insert(self, parts: list[tuple[int, int, str]]) -> None:
         words = self.block.words
         axes = [w for w in words if w.letter in _LETTERS]
         path = [w for w in words if w.letter in _PATH]
         g = [w for w in words if w.letter == "G"]
-        parts: list[tuple[int, int, str]] = [(a, b, t) for a, (b, t) in self.changes.items()]
         if self.first:
             place = (axes or path)[0].start
             parts.append((place, -2, self._joined(self.first) + self.separator))
@@ -389,14 +405,6 @@ class _Edit:
         if self.end:
             place = max(w.end for w in [*axes, *path])
             parts.append((place, -1, self.separator + self._joined(self.end)))
-        return self._applied(parts)
-
-    def _applied(self, parts: list[tuple[int, int, str]]) -> str:
-        line, at, out = self.block.text, 0, []
-        for start, end, text in sorted(parts, key=lambda p: (p[0], p[1])):
-            out += [line[at:start], text]
-            at = max(at, start, end)
-        return "".join(out) + line[at:]
 
     def _joined(self, words: list[str]) -> str:
         text = self.separator.join(words)
