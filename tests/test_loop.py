@@ -13,7 +13,7 @@ from vcal import CATALOGUE, Effect, Measurement, Parameter, close_loop, identify
 from vcal.loop.empirical import EMPIRICAL, Proportion
 from vcal.loop.outcome.unexplained import Refused, _from_dependence, from_structure
 from vcal.loop.residuals.dependence import dependence
-from vcal.loop.settings import checked, classes_of
+from vcal.loop.settings import checked, classes_of, null_draws
 from vcal.report.loop.own_effect import own_effect
 
 STAGES = ("screening", "refitting", "adding", "describing")
@@ -420,3 +420,8 @@ def test_effects_by_name():
 def test_numbers_of_numpy_are_settings():
     found = checked(draws=np.int64(50), alpha=np.float64(0.05), learn=np.bool_(True))
     assert (found.draws, found.alpha, found.learn) == (50, 0.05, True)
+
+
+def test_fewer_null_draws_for_many_readings_unless_they_are_given():
+    assert [null_draws(None, n) for n in (30_000, 30_001)] == [500, 200]
+    assert null_draws(40, 100_000) == 40

@@ -47,7 +47,7 @@ from .search.state import (
     fitted,
     reported_noise_scales,
 )
-from .settings import checked, classes_of
+from .settings import checked, classes_of, null_draws
 from .weighing.cross_validation import check_rms, fit_rms, heldout_fall, heldout_rms
 from .weighing.weighing import CERTAIN, Weighed
 
@@ -67,7 +67,7 @@ def close_loop(
     check: CheckPoints | None = None,
     effects: Iterable[type[Effect] | str] | None = None,
     alpha: float = 0.01,
-    draws: int = 500,
+    draws: int | None = None,
     seed: int = 0,
     max_effects: int = 32,
     learn: bool = False,
@@ -84,8 +84,9 @@ def close_loop(
     `effects` restricts the search to some classes, or names of the catalogue; with
     `require_testable`, `UntestableError` is raised before any fit where the data can test none of
     them. `check` adds the error at independent points. `draws` and `seed` define the null
-    residuals, `max_effects` limits the number of added effects. `learn` learns the sizes of the
-    declared families (`vcal.identification.family_sizes`) for the final fit, after the search.
+    residuals (`LoopSettings`), `max_effects` limits the number of added effects. `learn` learns
+    the sizes of the declared families (`vcal.identification.family_sizes`) for the final fit,
+    after the search.
     `declared` receives the fit of the declared model before the search, and may raise.
     `progress` receives a text before every step.
 
@@ -98,6 +99,7 @@ def close_loop(
     determine the parameters.
     """
     checked(alpha=alpha, draws=draws, seed=seed, max_effects=max_effects, learn=learn)
+    draws = null_draws(draws, measurement.readings.size)
     classes = classes_of(CATALOGUE.values() if effects is None else effects)
     settings = {
         "alpha": alpha,

@@ -19,13 +19,24 @@ class LoopSettings(BaseModel):
     """Seed of all random draws."""
     effects: tuple[str, ...] | None = Field(default=None, min_length=1)
     """Identifiers of the effects to try; all of the catalogue by default."""
-    draws: int = Field(default=500, ge=25, le=1_000_000)
-    """Null draws for the p-values. With fewer, the tail of the null distribution is poorly known.
+    draws: int | None = Field(default=None, ge=25, le=1_000_000)
+    """Null draws for the p-values; by default 500, and 200 for more than 30,000 readings, where
+    they take most of the time. The relative uncertainty of a p-value is then 20 % instead of 14 %.
     """
     max_effects: int = Field(default=32, ge=0)
     """Number of effects after which the loop stops."""
     learn: bool = False
     """Whether the families' sizes are learned for the final fit, after the search."""
+
+
+def null_draws(draws: int | None, readings: int) -> int:
+    """The number of null draws for a measurement of so many readings."""
+    if draws is not None:
+        return draws
+    return _DRAWS if readings <= _MANY else _FEWER
+
+
+_DRAWS, _FEWER, _MANY = 500, 200, 30_000
 
 
 def checked(**settings: Any) -> LoopSettings:

@@ -346,13 +346,18 @@ def _checked(
         there = np.flatnonzero(~blank)
         before = np.searchsorted(there, np.arange(len(values)), side="right") - 1
         values = values[there[np.maximum(before, 0)]]
-    bad = ~np.isfinite(values)
-    if not bad.any() and column.integer:
+    low, high = column.low - slack, column.high + slack
+    most = _MOST_WHOLE if column.integer else _MOST
+    bad = np.zeros(len(values), bool)
+    # NaN is the least and the largest value wherever there is one.
+    least, largest = (values.min(), values.max()) if len(values) else (0.0, 0.0)
+    if not (math.isfinite(least) and math.isfinite(largest)):
+        bad = ~np.isfinite(values)
+    elif column.integer and (values != np.round(values)).any():
         bad = values != np.round(values)
-    if not bad.any():
-        bad = (values < column.low - slack) | (values > column.high + slack)
-    if not bad.any():
-        most = _MOST_WHOLE if column.integer else _MOST
+    elif len(values) and (least < low or largest > high):
+        bad = (values < low) | (values > high)
+    elif max(-least, largest) > most:
         bad = np.abs(values) > most
         expected = f"{expected}, no more than {most:g} in size"
     if bad.any():

@@ -49,18 +49,20 @@ def _decoded(data: bytes, name: str, form: TableFormat) -> tuple[str, str]:
     UTF-16, valid UTF-8 is UTF-8, and anything else is Windows-1252, or Latin-1 where that has no
     such character. These rules need no guess, as a library for unknown encodings would.
     """
-    encoding = form.encoding
+    encoding, text = form.encoding, None
     if encoding == "auto":
-        encoding = _encoding(data)
+        encoding, text = _encoding(data)
     try:
-        text = data.decode(encoding)
+        text = data.decode(encoding) if text is None else text
     except UnicodeError as error:
         do = "correct the key encoding" if form.encoding != "auto" else "save it in UTF-8"
         raise unreadable(name, f"{encoding}: {error}", do) from error
     text = text.removeprefix("\ufeff")
     if "\r" in text:
         text = text.replace("\r\n", "\n").replace("\r", "\n")
-    if "\0" in text or (text.strip() and not re.search("[0-9A-Za-z]", text[:10_000])):
+    if "\0" in text or (
+        text and not text.isspace() and not re.search("[0-9A-Za-z]", text[:10_000])
+    ):
         raise unreadable(
             name,
             f"{encoding}: zero bytes, or no letter or digit",
@@ -71,24 +73,21 @@ def _decoded(data: bytes, name: str, form: TableFormat) -> tuple[str, str]:
     )
 
 
-def _encoding(data: bytes) -> str:
+def _encoding(data: bytes) -> tuple[str, str | None]:
+    """The encoding, and the text where that had to be decoded to find it."""
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return "utf-16"
+        return "utf-16", None
     head = np.frombuffer(data[:4000], np.uint8)
     if len(head) > 3:
         zero = [float((head[k::2] == 0).mean()) for k in (0, 1)]
         if max(zero) > 0.4 and min(zero) < 0.1:
-            return "utf-16-be" if zero[0] > zero[1] else "utf-16-le"
-    try:
-        data.decode("utf-8")
-        return "utf-8-sig"
-    except UnicodeDecodeError:
-        pass
-    try:
-        data.decode("cp1252")
-        return "cp1252"
-    except UnicodeDecodeError:
-        return "latin-1"
+            return ("utf-16-be" if zero[0] > zero[1] else "utf-16-le"), None
+    for encoding in ("utf-8-sig", "cp1252"):
+        try:
+            return encoding, data.decode(encoding)
+        except UnicodeDecodeError:
+            pass
+    return "latin-1", None
 
 
 def _without_preamble(text: str, form: TableFormat) -> str:
