@@ -56,6 +56,9 @@ class ModalState:
         self, block: Block, code: int, letters: dict[str, Word], axes: dict[int, Word]
     ) -> None:
         """A G code: what it changes in the modal state."""
+        if code in codes.MOTIONS:  # first, as nearly every block has one
+            self.motion, self.modal = codes.MOTIONS[code], None
+            return
         line = block.line
         if code in codes.UNITS:
             self._units(block, code, letters)
@@ -72,8 +75,6 @@ class ModalState:
             if number is None:
                 self.refuse(line, code_of(code), "a word P with the number", "add it")
             self._select(block, f"{codes.EXTENDED_OFFSETS[code]} P{round(number)}")
-        elif code in codes.MOTIONS:
-            self.motion, self.modal = codes.MOTIONS[code], None
         elif code in codes.CYCLES:
             text = f"{code_of(code)}: the positions of a canned cycle are not corrected"
             self.motion, self.modal = None, self.cause(line, text)

@@ -109,7 +109,7 @@ class Writer:
         self.corrected += 1
         self.split += len(targets) > 1
         last = len(targets) - 1
-        total = sum(t.weight for t in targets)
+        total = sum(t.weight for t in targets) if last else 0.0
         texts: list[str] = []
         for k, target in enumerate(targets):
             feed = self._feed(move, target, total) if last else None
@@ -259,8 +259,8 @@ class Writer:
             value = (target.end[i] - zero) / frame.scale
             word = None if further else move.axes.get(i)
             if word is not None:
-                changed = abs(value - float(word.value or 0.0)) >= half
-                same = float(word.value or 0.0)
+                same = word.value or 0.0
+                changed = abs(value - same) >= half
             else:
                 same = (self.at[i] - zero) / frame.scale
                 changed = not abs(value - same) < half
@@ -353,7 +353,6 @@ class _Edit:
         self.inserted: list[str] = []
         self.first: list[str] = []
         self.end: list[str] = []
-        self.lower = _is_lower(block)
 
     def replace(self, word: Word, text: str) -> None:
         self.changes[word.start] = (word.end, text)
@@ -408,4 +407,4 @@ class _Edit:
 
     def _joined(self, words: list[str]) -> str:
         text = self.separator.join(words)
-        return text.lower() if self.lower else text
+        return text.lower() if _is_lower(self.block) else text
