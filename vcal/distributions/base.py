@@ -79,6 +79,9 @@ class Distribution(Record):
 class Univariate(Distribution):
     """A distribution of one number; subclasses are final."""
 
+    discrete: ClassVar[bool] = False
+    """Whether single values have probabilities, so that there is no density."""
+
     std: eqx.AbstractVar[Array]
     """Standard deviation: the standard uncertainty of JCGM 100 4.3."""
 

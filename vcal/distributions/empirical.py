@@ -28,6 +28,7 @@ class Empirical(Univariate):
     """
 
     name: ClassVar[str] = "empirical"
+    discrete: ClassVar[bool] = True
     values: Float[Array, " n"]
     """In ascending order."""
     probabilities: Float[Array, " n"]

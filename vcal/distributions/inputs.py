@@ -15,9 +15,10 @@ from ..numerics.record import Record
 from ..registry import nearest
 from .base import Distribution
 from .copula import GaussianCopula
+from .dependence import Measure, score_correlation
 
 Correlation = Mapping[tuple[str, str], float]
-"""(name, name) -> correlation of the normal scores of two univariate inputs."""
+"""(name, name) -> correlation of two univariate inputs, of the normal scores unless stated."""
 
 
 class Inputs(Record):
@@ -25,15 +26,18 @@ class Inputs(Record):
 
     `distributions` gives every input its distribution, univariate (its value is a number) or
     multivariate (an array (d,)). `correlation` couples univariate inputs pair by pair by a Gaussian
-    copula: it is the correlation of their *normal scores*, which is that of the quantities
-    themselves for normal distributions only. `covariance` is always that of the quantities. Pairs
-    that are not named are uncorrelated::
+    copula. `correlation_of` states of what it is: ``"scores"``, the correlation of the normal
+    scores, which is that of the quantities themselves for normal distributions only;
+    ``"product_moment"``, that of the quantities; ``"spearman"`` or ``"kendall"``, a rank
+    correlation (`vcal.distributions.dependence`). `covariance` is always that of the quantities.
+    Pairs that are not named are uncorrelated::
 
         Inputs({"x": Normal(0, 1), "y": Uniform(0, 1)}, correlation={("x", "y"): 0.5})
 
     Raises `ValueError` for no inputs, one that is no distribution, an unknown name, a multivariate
     input in `correlation`, a pair of a name with itself or stated twice, a correlation outside
-    [-1, 1], or correlations that cannot all hold (with the smallest eigenvalue).
+    [-1, 1] or what the two distributions can have, or correlations that cannot all hold (with the
+    smallest eigenvalue).
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -46,6 +50,7 @@ class Inputs(Record):
         self,
         distributions: Mapping[str, Distribution],
         correlation: Correlation | None = None,
+        correlation_of: Measure = "scores",
     ):
         if not distributions:
             raise ValueError("inputs: found none, expected at least one named distribution")
@@ -57,7 +62,9 @@ class Inputs(Record):
                 )
         self.names = tuple(distributions)
         self._distributions = tuple(distributions.values())
-        matrix = self._correlation_matrix({} if correlation is None else correlation)
+        matrix = self._correlation_matrix(
+            {} if correlation is None else correlation, correlation_of
+        )
         self._groups = _connected(matrix)
         self._copulas = tuple(
             GaussianCopula(
@@ -223,7 +230,9 @@ class Inputs(Record):
             )
         return self.names.index(name)
 
-    def _correlation_matrix(self, correlation: Correlation) -> Float[np.ndarray, "n n"]:
+    def _correlation_matrix(
+        self, correlation: Correlation, measure: Measure
+    ) -> Float[np.ndarray, "n n"]:
         matrix = np.eye(len(self.names))
         stated: set[frozenset[str]] = set()
         for pair, r in correlation.items():
@@ -249,7 +258,13 @@ class Inputs(Record):
                     f"correlation: found {r} for {pair}, expected a number from -1 to 1"
                 )
             stated.add(frozenset(pair))
-            matrix[i, j] = matrix[j, i] = r
+            margins = (self._distributions[i], self._distributions[j])
+            matrix[i, j] = matrix[j, i] = score_correlation(
+                float(r),
+                measure,
+                *margins,  # pyright: ignore[reportArgumentType]
+                ", ".join(pair),
+            )
         return matrix
 
 

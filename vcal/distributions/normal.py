@@ -94,6 +94,23 @@ class StudentT(Univariate):
         finite(self.name, mean=self.mean)
         positive(self.name, scale=self.scale, dof=self.dof)
 
+    @classmethod
+    def from_std(cls, mean: ArrayLike, std: ArrayLike, dof: ArrayLike) -> "StudentT":
+        """The t with this standard deviation: scale std sqrt((dof - 2) / dof).
+
+        The GUM takes the scale as u, and t_p(dof) times the scale as U: its interval is that of
+        the distribution. Raises `ValueError` for a standard deviation that is not above zero, or
+        dof <= 2.
+        """
+        deviation, nu = number(std), number(dof)
+        positive(cls.name, std=deviation, dof=nu)
+        demand(
+            nu > 2.0,
+            f"{cls.name}: found dof = {nu}, expected more than 2, below which there is no standard "
+            "deviation; state the scale",
+        )
+        return cls(mean, deviation * jnp.sqrt((nu - 2.0) / nu), nu)
+
     @property
     def std(self) -> Float[Array, ""]:
         """scale sqrt(dof / (dof - 2)).

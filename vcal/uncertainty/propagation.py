@@ -50,6 +50,7 @@ def propagate(
     order: Literal[1, 2] = 1,
     coverage: float = 0.95,
     moments: Literal["normal", "own"] = "normal",
+    t: Literal["scale", "std"] = "scale",
 ) -> Budget:
     """Uncertainty of the outputs of a measurement function by the GUM.
 
@@ -68,7 +69,9 @@ def propagate(
     The standard uncertainty of Student's t is therefore its scale s/sqrt(n) with nu degrees of
     freedom (JCGM 100, 4.2.3, G.3), and not the larger standard deviation sqrt(nu/(nu - 2))
     s/sqrt(n) of JCGM 101, 6.4.9.4, which includes the tails and does not exist for nu <= 2. Two or
-    three repeated observations are sufficient, unless they are correlated with another input.
+    three repeated observations are sufficient, unless they are correlated with another input. With
+    `t` ``"std"``, u is that standard deviation, as a known one: k is normal then, and u the one of
+    a Monte Carlo, whose inputs are the same in both cases.
 
     Effective degrees of freedom (JCGM 100, G.4.1) are those of Welch and Satterthwaite over
     *groups* that are independent of each other, v_g = c_g S_g c_g':
@@ -90,10 +93,10 @@ def propagate(
     for inputs that are no `Inputs`.
     """
     require_float64()
-    _check_settings(order, moments)
+    _check_settings(order, moments, t)
     check_coverage(coverage)
     labels = labels_of(outputs_of(function, inputs))
-    source = _source(inputs)
+    source = _source(inputs, t)
     flat = Flat(function, inputs)
     value, sensitivity = first_derivatives(flat, source.value)
     _check_finite(np.isfinite(value[:, None]), labels, "value")
@@ -177,11 +180,15 @@ def outputs_of(function: Function, inputs: Inputs) -> tuple[Output, ...]:
     return tuple(Output(name, shape) for name, shape in zip(names, shapes, strict=True))
 
 
-def _source(inputs: Inputs) -> Source:
+def _source(inputs: Inputs, t: Literal["scale", "std"]) -> Source:
     """The inputs with their estimates, standard uncertainties and degrees of freedom by the GUM."""
     kinds = inputs.kinds
     dof = np.asarray(inputs.dof, float)
-    covariance = np.asarray(inputs.stated_covariance, float)
+    if t == "std":
+        covariance = np.asarray(inputs.covariance, float)
+        dof = np.where(np.isin(kinds, _SCALED), np.inf, dof)
+    else:
+        covariance = np.asarray(inputs.stated_covariance, float)
     groups = _groups(inputs, covariance, dof)
     return Source(inputs.labels, kinds, np.asarray(inputs.flat_mean), covariance, dof, groups)
 
@@ -256,7 +263,9 @@ def _shape(distribution: Univariate) -> tuple[float, float]:
     return float(third / second**1.5), float(fourth / second**2 - 3.0)
 
 
-def _check_settings(order: int, moments: str) -> None:
+def _check_settings(order: int, moments: str, t: str) -> None:
+    if t not in ("scale", "std"):
+        raise ValueError(f"t: found {t!r}, expected 'scale' or 'std', what u is of Student's t")
     if order not in (1, 2):
         raise ValueError(f"order: found {order!r}, expected 1 or 2; beyond that use Monte Carlo")
     if moments not in ("normal", "own"):
