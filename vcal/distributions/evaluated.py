@@ -209,17 +209,9 @@ class Groups(Evaluated):
         """The analysis of variance; not inside `jit`."""
         outer, inner, a, b, typical, _ = np.asarray(self._table).tolist()
         ratio = outer / inner if inner > 0.0 else math.inf
-        variance = max(0.0, outer - inner) / typical
-        return Anova(
-            outer,
-            inner,
-            a,
-            b,
-            math.sqrt(variance),
-            math.sqrt(inner),
-            ratio,
-            float(fdtrc(a, b, ratio)),
-        )
+        p = float(fdtrc(a, b, ratio))
+        spread = math.sqrt(max(0.0, outer - inner) / typical)
+        return Anova(outer, inner, a, b, spread, math.sqrt(inner), ratio, p)
 
 
 @register
