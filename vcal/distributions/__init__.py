@@ -29,7 +29,7 @@ from .multivariate import MultivariateNormal, MultivariateT
 from .normal import Normal, StudentT
 from .poisson import Poisson
 from .registry import CATALOGUE, distribution, distribution_class
-from .rescaled import Rescaled, rescaled
+from .scaling import Rescaled, rescaled
 from .shaped import Beta, Gamma, LogNormal
 
 __all__ = [

@@ -187,6 +187,22 @@ class Inputs(Record):
             for start, (name, d) in zip(self._starts, self.distributions.items(), strict=False)
         }
 
+    def replaced(self, name: str, distribution: Distribution) -> "Inputs":
+        """The same inputs with another distribution of one; the correlations of the scores stay.
+
+        Raises `ValueError` for an unknown name, a correlated input that becomes multivariate, or
+        something that is no distribution.
+        """
+        self._position(name, "replaced")
+        correlation = {
+            (self.names[a], self.names[b]): float(copula.correlation[i, j])
+            for group, copula in zip(self._groups, self._copulas, strict=True)
+            for i, a in enumerate(group)
+            for j, b in enumerate(group)
+            if i < j
+        }
+        return Inputs(self.distributions | {name: distribution}, correlation)
+
     def sample(self, key: PRNGKeyArray) -> dict[str, Array]:
         """One draw of every input by name: a pure function of the key.
 

@@ -7,6 +7,7 @@ from .motions import error_motions
 from .pieces import Piece, Pieces, cut, smallest_text
 from .residuals import before_after, normal_plot, unexplained, unexplained_views
 from .style import png, svg
+from .sweeps import sweep_view
 from .views import View, column_of, effect_view, place_of, values_of
 from .volumetric_errors import (
     check_errors,
@@ -42,6 +43,7 @@ __all__ = [
     "signatures",
     "smallest_text",
     "svg",
+    "sweep_view",
     "unexplained",
     "unexplained_views",
     "values_of",

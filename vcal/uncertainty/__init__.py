@@ -3,16 +3,20 @@
 `propagate` and `propagate_distributions` take a measurement function; `monte_carlo` and
 `linearised` take a virtual calibration, that is, a simulated measurement with its identification;
 `two_level` combines both;
-`compare` validates the first method by the second. Uses `identification`, `geometry` and what lies
-below; knows nothing of `loop` and `design`. `study`, `report`, `reproduce` and `cli` stand on it.
+`compare` validates the first method by the second. `calibration_curve` fits a curve to points with
+uncertainty; `required_u` and `sweep` ask for the uncertainty of an input. Uses `identification`,
+`geometry` and what lies below; knows nothing of `loop` and `design`. `study`, `report`, `reproduce`
+and `cli` stand on it.
 """
 
 from .adaptive import Adaptive, Precision, numerical_tolerance
 from .budget import Budget
 from .campaign import Campaign, monte_carlo, virtual_pair
 from .comparison import Attained, Comparison, attained_coverage, compare
+from .curves import CalibrationCurve, Prediction, calibration_curve
 from .ensemble import Ensemble, FieldResult
 from .functions import propagate_distributions
+from .joint import Joint, joint_outputs
 from .levels import TwoLevel, two_level
 from .linear import Linearised, linearised
 from .mismatch import Left, drawn_errors, expected_error, fitted_places
@@ -28,14 +32,17 @@ from .quantities import (
     VolumetricErrors,
 )
 from .regions import Box, Ellipsoid, coverage_box, coverage_ellipsoid, normal_box, normal_ellipsoid
+from .reverse import Required, Sweep, required_u, sweep
+from .saved import load_budget, save_budget
 from .streaming import stream
-from .table import budget_table, comparison_table
+from .table import budget_table, comparison_table, result_line
 
 __all__ = [
     "Adaptive",
     "Attained",
     "Box",
     "Budget",
+    "CalibrationCurve",
     "Campaign",
     "Comparison",
     "Ellipsoid",
@@ -43,19 +50,24 @@ __all__ = [
     "ErrorMotionErrors",
     "Field",
     "FieldResult",
-    "Linearised",
+    "Joint",
     "Left",
     "LineErrors",
+    "Linearised",
     "Measure",
     "Output",
     "ParameterErrors",
     "Precision",
+    "Prediction",
     "Programs",
     "Quantity",
+    "Required",
+    "Sweep",
     "TwoLevel",
     "VolumetricErrors",
     "attained_coverage",
     "budget_table",
+    "calibration_curve",
     "compare",
     "comparison_table",
     "coverage_box",
@@ -63,14 +75,20 @@ __all__ = [
     "drawn_errors",
     "expected_error",
     "fitted_places",
+    "joint_outputs",
     "linearised",
+    "load_budget",
     "monte_carlo",
     "normal_box",
     "normal_ellipsoid",
     "numerical_tolerance",
     "propagate",
     "propagate_distributions",
+    "required_u",
+    "result_line",
+    "save_budget",
     "stream",
+    "sweep",
     "two_level",
     "virtual_pair",
 ]

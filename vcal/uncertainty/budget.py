@@ -1,6 +1,7 @@
 """The uncertainty budget of outputs by the GUM (JCGM 100, 102), as numbers."""
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -8,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtri, stdtrit
 
+from .intervals import check_coverage
 from .taylor import Taylor
 
 
@@ -75,6 +77,10 @@ class Budget:
     taylor: Taylor = field(repr=False)
     notes: tuple[str, ...] = ()
     """Remarks on these numbers, for the reader."""
+    stated_k: float | None = None
+    """Coverage factor that was stated, instead of the one for `coverage`."""
+    stated_dof: bool = False
+    """Whether `nu_eff` was stated."""
 
     @cached_property
     def covariance(self) -> Float[np.ndarray, "m m"]:
@@ -89,7 +95,9 @@ class Budget:
 
     @property
     def k(self) -> Float[np.ndarray, " m"]:
-        """Coverage factor."""
+        """Coverage factor: t_p(nu_eff), or the stated one."""
+        if self.stated_k is not None:
+            return np.full(len(self.labels), self.stated_k)
         return coverage_factor(self.nu_eff, self.coverage)
 
     @property
@@ -127,6 +135,39 @@ class Budget:
             inner = self.source.covariance[np.ix_(members, members)]
             parts[:, g] = ((c @ (inner - np.diag(np.diag(inner)))) * c).sum(1)
         return parts
+
+    def stated(
+        self,
+        *,
+        k: float | None = None,
+        nu_eff: float | None = None,
+        coverage: float | None = None,
+    ) -> "Budget":
+        """The same budget with a stated coverage factor, effective degrees of freedom or coverage.
+
+        A customer or a standard may ask for k = 2, or for degrees of freedom from experience. A
+        stated k replaces the coverage probability, of which nothing is said then. Raises
+        `ValueError` for a number that is not above zero, a coverage outside (0, 1), k together
+        with one of the others, and for nothing stated.
+        """
+        given = {"k": k, "nu_eff": nu_eff, "coverage": coverage}
+        if all(value is None for value in given.values()):
+            raise ValueError("stated: found nothing, expected k, nu_eff or coverage")
+        if k is not None and (nu_eff is not None or coverage is not None):
+            raise ValueError(
+                "stated: found k with nu_eff or coverage, from which k would follow; state one"
+            )
+        for name, value in given.items():
+            if value is not None and not (value > 0.0 and (name == "nu_eff" or value < math.inf)):
+                raise ValueError(f"stated: found {name} = {value}, expected a number above 0")
+        if coverage is not None:
+            check_coverage(coverage)
+        found = replace(self, stated_k=None if k is None else float(k))
+        if coverage is not None:
+            found = replace(found, coverage=coverage)
+        if nu_eff is not None:
+            found = replace(found, nu_eff=np.full(len(self.labels), float(nu_eff)), stated_dof=True)
+        return found
 
     def interval(self, output: str) -> tuple[float, float]:
         """Coverage interval [y - U, y + U] of one output; raises as `index` does."""

@@ -81,8 +81,14 @@ def compare(
     those of the symmetric one do not. The standard leaves the `kind` to the user.
 
     Raises `ValueError` for an output of the budget that the Monte Carlo lacks, for too few draws
-    for the interval, and for a number of digits other than 1 or 2.
+    for the interval, for a number of digits other than 1 or 2, and for a stated k, which has no
+    coverage probability.
     """
+    if budget.stated_k is not None:
+        raise ValueError(
+            f"the budget states k = {budget.stated_k:g}, which has no coverage probability; "
+            "compare the budget without it"
+        )
     if digits not in (1, 2):
         raise ValueError(f"digits: found {digits!r}, expected 1 or 2 (JCGM 101, 7.9.2)")
     missing = [label for label in budget.labels if label not in ensemble.labels]

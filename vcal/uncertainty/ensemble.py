@@ -10,6 +10,7 @@ from jaxtyping import Float
 from .adaptive import Adaptive, Precision, Steps, step_size
 from .intervals import Kind, check_coverage, coverage_interval
 from .quantile_counts import Column, quantile_ranks
+from .shapes import shape_of_counts, shape_of_values
 from .summary import FieldSummary, Summary
 
 
@@ -83,6 +84,26 @@ class Ensemble:
         """Correlation of the scalar outputs; NaN where one does not vary."""
         u = np.where(self.u > 0.0, self.u, np.nan)
         return self.covariance / np.outer(u, u)
+
+    @property
+    def skewness(self) -> Float[np.ndarray, " k"]:
+        """Skewness of every scalar output, zero for a symmetric one; computed on request.
+
+        From the values of all draws, or, where not all were kept, from their counts in fine bins.
+        NaN for an output that does not vary.
+        """
+        return self._shapes[:, 0]
+
+    @property
+    def excess_kurtosis(self) -> Float[np.ndarray, " k"]:
+        """Kurtosis less that of a normal distribution, 3, of every scalar output; as `skewness`."""
+        return self._shapes[:, 1]
+
+    @property
+    def _shapes(self) -> Float[np.ndarray, "k 2"]:
+        if self.columns:
+            return np.array([shape_of_counts(column) for column in self.columns])
+        return np.array([shape_of_values(self._finite(at)) for at in range(len(self.labels))])
 
     def index(self, output: str) -> int:
         """Index of a scalar output; raises `ValueError` for an unknown name."""

@@ -108,7 +108,7 @@ def propagate(
         taylor = second_order(flat, source.value, root, *shapes)
         _check_finite(taylor.finite[:, None], labels, "second or third derivative")
     variance = _checked_variance(taylor, labels)
-    nu_eff, notes = _effective_dof(source, sensitivity)
+    nu_eff, notes = effective_dof(source, sensitivity)
     if order == 1:
         notes += _blind(labels, taylor, source)
     return Budget(
@@ -128,16 +128,24 @@ def propagate(
 def named(values: Any) -> dict[str, Array]:
     """Outputs of a measurement function by name; a single one is called ``"y"``.
 
-    Raises `ValueError` for a value that is neither a number nor an array.
+    A complex output ``"S"`` is two real ones, ``"S.re"`` and ``"S.im"``. Raises `ValueError` for a
+    value that is neither a number nor an array.
     """
     found = dict(values) if isinstance(values, Mapping) else {_UNNAMED: values}
     try:
-        return {str(name): jnp.asarray(value, dtype=float) for name, value in found.items()}
+        arrays = {str(name): jnp.asarray(value) for name, value in found.items()}
     except (TypeError, ValueError) as error:
         raise ValueError(
             f"the measurement function gave {values!r}, expected a number, an array, or a "
             "dictionary of these"
         ) from error
+    real: dict[str, Array] = {}
+    for name, array in arrays.items():
+        if jnp.iscomplexobj(array):
+            real |= {f"{name}.re": jnp.real(array), f"{name}.im": jnp.imag(array)}
+        else:
+            real[name] = jnp.asarray(array, dtype=float)
+    return real
 
 
 def outputs_of(function: Function, inputs: Inputs) -> tuple[Output, ...]:
@@ -305,7 +313,7 @@ def _checked_variance(taylor: Taylor, labels: Sequence[str]) -> Float[np.ndarray
     return np.maximum(variance, 0.0)
 
 
-def _effective_dof(
+def effective_dof(
     source: Source, sensitivity: Float[np.ndarray, "m k"]
 ) -> tuple[Float[np.ndarray, " m"], tuple[str, ...]]:
     """Effective degrees of freedom of every output, with notes on them."""
