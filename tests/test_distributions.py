@@ -16,6 +16,7 @@ from vcal.distributions import (
     Gamma,
     GaussianCopula,
     Inputs,
+    Laplace,
     LogNormal,
     MultivariateNormal,
     MultivariateT,
@@ -24,6 +25,7 @@ from vcal.distributions import (
     Trapezoidal,
     Triangular,
     Uniform,
+    Weibull,
     distribution,
 )
 from vcal.errors import StudyError
@@ -50,6 +52,9 @@ CASES = {
     "beta": (Beta(2.0, 3.5, -1.0, 2.0), stats.beta(2.0, 3.5, -1.0, 3.0)),
     "beta U": (Beta(0.5, 0.7), stats.beta(0.5, 0.7)),
     "beta 200": (Beta(200.0, 8.0), stats.beta(200.0, 8.0)),
+    "laplace": (Laplace(-0.4, 1.5), stats.laplace(-0.4, 1.5)),
+    "weibull": (Weibull(2.0, 1.7, -1.0), stats.weibull_min(1.7, -1.0, 2.0)),
+    "weibull 0.6": (Weibull(0.3, 0.6), stats.weibull_min(0.6, 0.0, 0.3)),
 }
 CTRAP = CurvilinearTrapezoid(-1.0, 2.0, 0.6)
 OWN = {name: ours for name, (ours, _) in CASES.items()} | {
@@ -665,7 +670,7 @@ def test_distributions_by_name():
     assert float(made.std) == pytest.approx(np.sqrt(4 / 12 + 0.01 / 9))
     assert float(distribution("gamma", shape=2, scale=3).mean) == 6.0
     assert all(kind.name == name for name, kind in CATALOGUE.items())
-    assert len(CATALOGUE) == 14
+    assert len(CATALOGUE) == 21
     for name, settings, message in [
         (
             "unifrom",

@@ -32,8 +32,8 @@ from ..numerics.spatial import require_float64
 from .budget import coverage_factor
 from .intervals import check_coverage
 
-_FEWEST = 8
-"""Points for which an iterated fit is compiled at least."""
+_POINTS, _TERMS = 8, 4
+"""Points and coefficients for which an iterated fit is compiled at least."""
 
 Method = Literal["ordinary", "weighted", "generalised", "errors in both"]
 
@@ -401,8 +401,9 @@ def _iterated(
     if joint is None:
         exact = noise.x == 0.0
         joint = np.diag(np.concatenate([np.where(exact, 1.0, noise.x), noise.y]) ** 2)
-    # Unused points up to the next power of two: one compiled program serves many numbers of points.
-    size = max(_FEWEST, 1 << (n - 1).bit_length())
+    # Unused points up to the next power of two, and unused coefficients: one compiled program
+    # serves many numbers of points and of coefficients.
+    size, terms = max(_POINTS, 1 << (n - 1).bit_length()), max(_TERMS, p)
     at = np.concatenate([np.arange(n), size + np.arange(n)])
     root = np.eye(2 * size)
     root[np.ix_(at, at)] = _cholesky("covariance of x and y", joint)
@@ -410,9 +411,10 @@ def _iterated(
     padded["exact"][n:] = 1.0
     for name, values in (("t", t), ("y", y), ("exact", exact), ("used", 1.0)):
         padded[name][:n] = values
-    data = jax.tree.map(jnp.asarray, padded | {"root": root})
-    first = jnp.asarray(np.concatenate([start, padded["t"]]))
-    found = least_squares(_whitened, first, data, noise=1.0)
+    padded |= {"root": root, "fitted": (np.arange(terms) < p).astype(float)}
+    first = np.concatenate([start, np.zeros(terms - p), padded["t"]])
+    data = jax.tree.map(jnp.asarray, padded)
+    found = least_squares(_whitened, jnp.asarray(first), data, noise=1.0)
     if not bool(found.converged):
         raise ValueError(
             "the curve with uncertainties in x and y was not found: "
@@ -425,14 +427,15 @@ def _iterated(
 def _whitened(theta: Array, data: dict[str, Array]) -> Array:
     """Residuals of x and y, whitened. Unknowns: the coefficients, and the true t of every point.
 
-    The unknown of a point with an exact x, or of an unused one, is not used and stays at its t.
+    An unknown that is not used stays where it is: that of a point with an exact x, of an unused
+    point, or of an unused coefficient.
     """
-    p = len(theta) - len(data["t"])
-    true = jnp.where(data["exact"] > 0.0, data["t"], theta[p:])
-    of_y = data["used"] * (data["y"] - jnp.polyval(theta[:p][::-1], true))
-    return solve_triangular(
-        data["root"], jnp.concatenate([data["t"] - theta[p:], of_y]), lower=True
-    )
+    coefficients, true = jnp.split(theta, [len(data["fitted"])])
+    powers = data["fitted"] * coefficients
+    at = jnp.where(data["exact"] > 0.0, data["t"], true)
+    of_y = data["used"] * (data["y"] - jnp.polyval(powers[::-1], at))
+    white = solve_triangular(data["root"], jnp.concatenate([data["t"] - true, of_y]), lower=True)
+    return jnp.concatenate([white, (1.0 - data["fitted"]) * coefficients])
 
 
 def _to_powers(p: int, middle: float, half: float) -> Float[np.ndarray, "p p"]:
