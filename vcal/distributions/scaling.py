@@ -4,6 +4,7 @@ import math
 from typing import ClassVar
 
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 from jaxtyping import Float, PRNGKeyArray
 
 from ..numerics.arrays import Array
@@ -21,7 +22,7 @@ class Rescaled(Univariate):
     mean: Float[Array, ""]
     factor: Float[Array, ""]
 
-    def __init__(self, inner: Univariate, mean: float, factor: float):
+    def __init__(self, inner: Univariate, mean: ArrayLike, factor: ArrayLike):
         self.inner = inner
         self.mean, self.factor = number(mean), number(factor)
         finite(self.name, mean=self.mean)
@@ -95,7 +96,7 @@ def rescaled(
             f"{distribution.name}: found a multivariate distribution, expected a univariate one; "
             "state its covariance anew"
         )
-    mean = distribution.mean if value is None else value
+    mean = jnp.asarray(distribution.mean if value is None else value, dtype=float)
     if u is None:
         return Rescaled(distribution, mean, 1.0)
     if not (u > 0.0 and math.isfinite(u)):

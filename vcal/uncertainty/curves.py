@@ -35,6 +35,9 @@ from .intervals import check_coverage
 _POINTS, _TERMS = 8, 4
 """Points and coefficients for which an iterated fit is compiled at least."""
 
+_SAME, _FLAT = 1e-6, 1e-6
+"""Distance of roots that are one, of half the range; slope that is none, of the coefficients."""
+
 Method = Literal["ordinary", "weighted", "generalised", "errors in both"]
 
 
@@ -195,7 +198,8 @@ class CalibrationCurve:
         values, own = _pair("y", y, single)
         at = np.array([self._root(float(value), near) for value in values])
         rows, slope = self._rows(at)
-        flat = np.flatnonzero(slope == 0.0)
+        half = self._middle_half[1]
+        flat = np.flatnonzero(np.abs(slope) * half <= _FLAT * np.abs(self._centred).max())
         if len(flat):
             raise ValueError(
                 f"y: found {values[flat[0]]} where the curve has no slope, at x = {at[flat[0]]}; x "
@@ -249,7 +253,7 @@ class CalibrationCurve:
         if near is not None:
             return float(x[np.argmin(np.abs(x - near))])
         inside = x[np.abs(real) <= 1.0 + 1e-12]
-        if len(np.unique(np.round(inside / half, 9))) > 1:
+        if len(inside) > 1 and np.ptp(inside) > _SAME * half:
             raise ValueError(
                 f"y: found {y}, which the curve takes at x = "
                 f"{' and '.join(f'{v:.6g}' for v in np.sort(inside))}; state near which x it is"
@@ -399,8 +403,9 @@ def _iterated(
     joint = noise.joint
     exact = np.zeros(n, bool)
     if joint is None:
-        exact = noise.x == 0.0
-        joint = np.diag(np.concatenate([np.where(exact, 1.0, noise.x), noise.y]) ** 2)
+        x = np.zeros(n) if noise.x is None else noise.x
+        exact = x == 0.0
+        joint = np.diag(np.concatenate([np.where(exact, 1.0, x), noise.y]) ** 2)
     # Unused points up to the next power of two, and unused coefficients: one compiled program
     # serves many numbers of points and of coefficients.
     size, terms = max(_POINTS, 1 << (n - 1).bit_length()), max(_TERMS, p)
@@ -453,8 +458,8 @@ def _polished(coefficients: np.ndarray, t: float, size: float) -> float:
         d = np.polynomial.polynomial.polyval(t, slope)
         if abs(d) <= 1e-12 * size:
             break
-        t = t - np.polynomial.polynomial.polyval(t, coefficients) / d
-    return float(t)
+        t = float(t - np.polynomial.polynomial.polyval(t, coefficients) / d)
+    return t
 
 
 def _welch_satterthwaite(parts: list[tuple[np.ndarray, float]]) -> Float[np.ndarray, " n"]:

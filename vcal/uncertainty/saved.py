@@ -11,6 +11,9 @@ from ..errors import StudyError
 from .budget import Budget, Source
 from .taylor import Taylor
 
+SCHEMA = Path(__file__).with_name("budget.schema.json")
+"""JSON schema of the files."""
+
 _KIND = "vcal uncertainty budget"
 _VERSION = 1
 _DERIVATIVES = ("a", "H", "T", "t", "skewness", "excess")
@@ -117,8 +120,9 @@ class _Keys:
         return StudyError(f"{self.file}: {self.where}{name}: found {found}, expected {expected}")
 
     def numbers(self, name: str, *shape: int | None) -> np.ndarray:
+        content = self.key(name)
         try:
-            found = np.array(self.key(name), float)
+            found = np.array(content, float)
         except (TypeError, ValueError):
             raise self.fail(name, "something other than numbers", "numbers") from None
         if found.size == 0:

@@ -29,6 +29,7 @@ def budget_table(
     outside 1 to 15, and an unknown layout.
     """
     output = _only(budget, output)
+    _check_digits(digits)
     heads = ("input", "value", "u", "distribution", "dof", "sensitivity", "contribution", "share")
     combined = float(budget.u[budget.index(output)])
     lines = [_cells(row, combined, digits) for row in budget.rows(output)]
