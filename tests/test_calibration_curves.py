@@ -117,15 +117,9 @@ def by_scipy(x, y, joint, degree):
         return np.linalg.solve(root, apart)
 
     start = np.concatenate([np.polyfit(x, y, degree)[::-1], x])
-    found = optimize.least_squares(
-        residual,
-        start,
-        "3-point",
-        method="lm",
-        xtol=1e-15,
-        ftol=1e-15,
-        x_scale=np.maximum(np.abs(start), 0.1),
-    )
+    scale = np.maximum(np.abs(start), 0.1)
+    limits = {"xtol": 1e-15, "ftol": 1e-15, "x_scale": scale}
+    found = optimize.least_squares(residual, start, "3-point", method="lm", **limits)
     assert len(found.fun) == 2 * n
     spread = np.linalg.inv(found.jac.T @ found.jac)
     p = degree + 1

@@ -139,14 +139,14 @@ def test_groups_of_readings_against_scipy():
 
 def test_mean_of_groups_covers_where_readings_as_one_set_do_not():
     rng = np.random.default_rng(8)
-    held = np.zeros((2, 400), bool)
-    for case in range(400):
+    held = np.zeros((2, 150), bool)
+    for case in range(150):
         data = rng.normal(0.0, 1.0, (6, 1)) + rng.normal(0.0, 0.5, (6, 4))
         for row, between in enumerate((True, False)):
             found = Groups(data, between=between)
             half = stats.t.ppf(0.975, float(found.dof)) * found.u
             held[row, case] = abs(float(found.mean)) <= half
-    assert held[0].mean() == pytest.approx(0.95, abs=0.04)
+    assert held[0].mean() == pytest.approx(0.95, abs=0.05)
     assert held[1].mean() < 0.85
 
 

@@ -47,7 +47,8 @@ class Laplace(Univariate):
 
     def cdf(self, x: Array) -> Array:
         t = (x - self.mean) / self.scale
-        tail = 0.5 * jnp.exp(-jnp.abs(t))
+        # Not the absolute value, which has no derivative in the middle.
+        tail = 0.5 * jnp.exp(jnp.where(t > 0.0, -t, t))
         return jnp.where(t > 0.0, 1.0 - tail, tail)
 
     def log_density(self, x: Array) -> Array:
