@@ -30,6 +30,13 @@ from ..numerics.arrays import Array
 from ..numerics.least_squares import Status, covariance, least_squares
 from ..numerics.spatial import require_float64
 from .budget import coverage_factor
+from .curve_points import (
+    checked_points,
+    covariance_matrix,
+    lower_root,
+    standard_uncertainties,
+    values_with_u,
+)
 from .intervals import check_coverage
 
 _POINTS, _TERMS = 8, 4
@@ -153,7 +160,7 @@ class CalibrationCurve:
         estimated.
         """
         check_coverage(coverage)
-        at, own = _pair("x", x, u_x)
+        at, own = values_with_u("x", x, u_x)
         rows, slope = self._rows(at)
         curve = rows @ self._centred_covariance @ rows.T
         single = self._single(reading)
@@ -195,7 +202,7 @@ class CalibrationCurve:
         if shared and readings < 1:
             raise ValueError(f"readings: found {readings}, expected at least 1")
         single = self._single("scatter") / math.sqrt(readings) if shared else u_y
-        values, own = _pair("y", y, single)
+        values, own = values_with_u("y", y, single)
         at = np.array([self._root(float(value), near) for value in values])
         rows, slope = self._rows(at)
         half = self._middle_half[1]
@@ -287,7 +294,7 @@ def calibration_curve(
     the iteration does not converge.
     """
     require_float64()
-    x, y = _points(x, y, degree)
+    x, y = checked_points(x, y, degree)
     low, high = float(x.min()), float(x.max())
     half = 0.5 * (high - low)
     t = (x - 0.5 * (low + high)) / half
@@ -351,9 +358,13 @@ def _noise(
     for name, u, matrix in (("y", u_y, covariance_y), ("x", u_x, covariance_x)):
         if u is not None and matrix is not None:
             raise ValueError(f"found u_{name} and covariance_{name}, expected one of the two")
-    y = _sizes("u_y", u_y, n) if u_y is not None else _matrix("covariance_y", covariance_y, n)
-    x = _sizes("u_x", u_x, n, zero=True) if u_x is not None else None
-    x = _matrix("covariance_x", covariance_x, n) if covariance_x is not None else x
+    y = (
+        standard_uncertainties("u_y", u_y, n)
+        if u_y is not None
+        else covariance_matrix("covariance_y", covariance_y, n)
+    )
+    x = standard_uncertainties("u_x", u_x, n, zero=True) if u_x is not None else None
+    x = covariance_matrix("covariance_x", covariance_x, n) if covariance_x is not None else x
     if x is None and covariance_xy is None:
         if y is None:
             return _Noise("ordinary", np.ones(n))
@@ -375,7 +386,7 @@ def _noise(
         if between.shape != (n, n):
             raise ValueError(f"covariance_xy: found shape {between.shape}, expected {(n, n)}")
     joint = np.block([[blocks[0], between], [between.T, blocks[1]]])
-    _cholesky("covariance of x and y", joint)
+    lower_root("covariance of x and y", joint)
     return _Noise("errors in both", y, joint=joint)
 
 
@@ -386,7 +397,7 @@ def _linear(
     if noise.ndim == 1:
         white = np.column_stack([basis, y]) / noise[:, None]
     else:
-        root = _cholesky("covariance_y", noise)
+        root = lower_root("covariance_y", noise)
         white = solve_lower(root, np.column_stack([basis, y]), lower=True)
     q, r = np.linalg.qr(white[:, :-1])
     inverse = np.linalg.inv(r)
@@ -411,7 +422,7 @@ def _iterated(
     size, terms = max(_POINTS, 1 << (n - 1).bit_length()), max(_TERMS, p)
     at = np.concatenate([np.arange(n), size + np.arange(n)])
     root = np.eye(2 * size)
-    root[np.ix_(at, at)] = _cholesky("covariance of x and y", joint)
+    root[np.ix_(at, at)] = lower_root("covariance of x and y", joint)
     padded = {name: np.zeros(size) for name in ("t", "y", "exact", "used")}
     padded["exact"][n:] = 1.0
     for name, values in (("t", t), ("y", y), ("exact", exact), ("used", 1.0)):
@@ -466,81 +477,3 @@ def _welch_satterthwaite(parts: list[tuple[np.ndarray, float]]) -> Float[np.ndar
     total = np.sum([v for v, _ in parts], axis=0)
     scatter = np.sum([v**2 / nu for v, nu in parts], axis=0)
     return np.divide(total**2, scatter, out=np.full_like(total, np.inf), where=scatter > 0.0)
-
-
-def _points(x: Any, y: Any, degree: int) -> tuple[np.ndarray, np.ndarray]:
-    if not isinstance(degree, int) or degree < 1:
-        raise ValueError(f"degree: found {degree!r}, expected a whole number of at least 1")
-    found = [_vector(name, values) for name, values in (("x", x), ("y", y))]
-    if len(found[0]) != len(found[1]):
-        raise ValueError(
-            f"found {len(found[0])} x and {len(found[1])} y, expected one y for every x"
-        )
-    different = len(np.unique(found[0]))
-    if different <= degree:
-        raise ValueError(
-            f"x: found {different} different values, expected at least {degree + 1} for a "
-            f"polynomial of degree {degree}"
-        )
-    return found[0], found[1]
-
-
-def _pair(name: str, values: Any, u: Any) -> tuple[np.ndarray, np.ndarray]:
-    found = _vector(name, np.atleast_1d(values))
-    return found, _sizes(f"u_{name}", u, len(found), zero=True)
-
-
-def _vector(name: str, values: Any) -> Float[np.ndarray, " n"]:
-    try:
-        found = np.asarray(values, float)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{name}: found {values!r}, expected a list of numbers") from error
-    if found.ndim != 1:
-        raise ValueError(f"{name}: found shape {found.shape}, expected a list (n,)")
-    bad = np.flatnonzero(~np.isfinite(found))
-    if len(bad):
-        raise ValueError(
-            f"{name}: found {found[bad[0]]} at position {bad[0]}, expected finite numbers"
-        )
-    return found
-
-
-def _sizes(name: str, u: Any, n: int, zero: bool = False) -> Float[np.ndarray, " n"]:
-    found = np.asarray(u, float)
-    if found.shape not in ((), (n,)):
-        raise ValueError(f"{name}: found shape {found.shape}, expected one number or ({n},)")
-    found = np.broadcast_to(found, (n,)).copy()
-    bad = np.flatnonzero(~np.isfinite(found) | (found < 0.0) | ((found == 0.0) & (not zero)))
-    if len(bad):
-        raise ValueError(
-            f"{name}: found {found[bad[0]]} at position {bad[0]}, expected a finite standard "
-            f"uncertainty {'of at least' if zero else 'above'} 0"
-        )
-    return found
-
-
-def _matrix(name: str, matrix: Any, n: int) -> Float[np.ndarray, "n n"] | None:
-    if matrix is None:
-        return None
-    found = np.asarray(matrix, float)
-    if found.shape != (n, n):
-        raise ValueError(f"{name}: found shape {found.shape}, expected {(n, n)}")
-    _cholesky(name, found)
-    return found
-
-
-def _cholesky(name: str, matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    size = np.sqrt(np.abs(np.diag(matrix)))
-    if not (np.isfinite(matrix).all() and (np.diag(matrix) > 0.0).all()):
-        raise ValueError(f"{name}: expected finite numbers with variances above 0 on the diagonal")
-    scaled = matrix / np.outer(size, size)
-    if not np.allclose(scaled, scaled.T, rtol=0.0, atol=1e-9):
-        raise ValueError(f"{name}: expected a symmetric matrix")
-    try:
-        return size[:, None] * np.linalg.cholesky(scaled)
-    except np.linalg.LinAlgError:
-        smallest = float(np.linalg.eigvalsh(scaled)[0])
-        raise ValueError(
-            f"{name}: the correlations cannot all hold, or leave a combination without "
-            f"uncertainty: the smallest eigenvalue is {smallest:.3g}, expected it above 0"
-        ) from None
