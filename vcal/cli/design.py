@@ -38,6 +38,7 @@ def run_design(
     seed: int,
     overrides: Sequence[str],
     trust: bool = False,
+    allow_outside: bool = False,
     command: str,
     progress: Callable[[str], None],
 ) -> Done:
@@ -52,7 +53,7 @@ def run_design(
             "--separate: found it without --next, expected both, as a further measurement is what "
             "separates effects; add --next, or leave out --separate"
         )
-    study = load_study(setup, overrides, trust=trust)
+    study = load_study(setup, overrides, trust=trust, allow_outside=allow_outside)
     if following:
         return _next(study, out, separate, seed, command, began, progress)
     task = StudyDesign.of(study).task()

@@ -21,6 +21,7 @@ def close_all(
     command: str,
     *,
     trust: bool,
+    allow_outside: bool,
     compensate_anyway: bool,
     again: bool,
     workers: int | None,
@@ -34,7 +35,7 @@ def close_all(
     check_one(workers, scheduler)
     browser = browser_for(pdf)
     start()
-    settings = Settings(tuple(overrides), trust, compensate_anyway, again)
+    settings = Settings(tuple(overrides), trust, compensate_anyway, again, allow_outside)
     with (
         client_of(None, scheduler) as client,
         working(f"closing the loop on {counted(len(setups), 'study', 'studies')}") as progress,

@@ -41,6 +41,7 @@ def run_virtual(
     digits: Literal[1, 2],
     overrides: Sequence[str],
     trust: bool = False,
+    allow_outside: bool = False,
     command: str,
     client: Any = None,
 ) -> Done:
@@ -54,7 +55,7 @@ def run_virtual(
     number = parse_draws(draws)
     check_noise_factor(noise_factor)
     check_uncertainty_folder(out)
-    study = load_study(setup, overrides, trust=trust)
+    study = load_study(setup, overrides, trust=trust, allow_outside=allow_outside)
     _check_shapes(study)
     truth = _truth(study, effects)
     settings: dict[str, Any] = {

@@ -32,6 +32,8 @@ class Settings:
     compensate_anyway: bool = False
     again: bool = False
     """Whether studies whose report is up to date are closed again."""
+    allow_outside: bool = False
+    """Whether files outside the folder of a study may be read."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,9 @@ def close_into(
     """
     began = time.perf_counter() if began is None else began
     check_folder(out)  # before the work, not after it
-    study = load_study(setup, settings.overrides, trust=settings.trust)
+    study = load_study(
+        setup, settings.overrides, trust=settings.trust, allow_outside=settings.allow_outside
+    )
     check_folder(out, (study.folder / name for name in study.hashes))
     checked(study)
     if study.measurement is None:
