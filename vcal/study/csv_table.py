@@ -14,7 +14,7 @@ from ..registry import closest
 from .messages import listed, refusal
 from .reading.assign import Assigned, Place, assign, cells_of, expected_cell, values_of
 from .reading.formats import DEFAULT, TableFormat
-from .reading.grid import NO_NUMBER, Cells, Grid, marks_of
+from .reading.grid import NO_NUMBER, Cells, Grid, marks_of, no_table
 from .reading.parquet import read_parquet
 from .reading.text import SEPARATORS, read_text
 from .reading.times import Clock
@@ -226,6 +226,8 @@ def table_of(
         if name not in header:
             # A column that has a meaning of its own is not a misspelling of this one.
             free = [c for c in header if c not in asked and c not in labels and not optional(c)]
+            if len(free) == len(header) and len(grid.lines) and not grid.has_numbers:
+                raise no_table(table.name, grid.lines[0])
             raise _missing(table.name, name, header, free)
     unread: dict[str, np.ndarray] = {}
     if not grid.lines:
