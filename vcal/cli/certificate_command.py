@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from ..errors import StudyError
+from ..files import replace_file
 from .commands import Outside, Trust, app
 from .compensation_commands import SOURCE, machine_of
 from .session import guarded, say, start, working
@@ -62,7 +63,7 @@ def certificate(
         progress("evaluating the tests")
         found = stated(machine, () if of_study else given, draft=draft)
         text = dcc(found, datetime.date.today())
-    out.write_text(text, encoding="utf-8")
+    replace_file(out, text)
     for result in found.results:
         count = len(result.values) + len(result.series)
         say(f"{result.norm}: {result.name}, {count} stated, {len(result.unknown)} not determined")

@@ -14,8 +14,9 @@ import typer
 from .. import __version__
 from ..demo import starts
 from ..words import counted
+from . import interruption, output
 from .printing import browser_for, print_with, require_page
-from .session import INTERRUPTED, guarded, import_modules, leave, listen, say, start, tell, working
+from .session import MISTAKE, guarded, import_modules, say, start, working
 
 if TYPE_CHECKING:
     from ..fleet.one_study import Settings
@@ -93,16 +94,24 @@ NoiseFactor = Annotated[
 
 def main() -> None:
     """Run the command line; the process ends with its exit code."""
-    listen()
+    interruption.listen()
+    output.guard()
+    end: int | str | None = 0
     try:
         app()
-    except KeyboardInterrupt:  # outside a command, while modules are imported
-        tell("interrupted")
-        leave(INTERRUPTED)
-    except SystemExit as end:
-        if end.code == INTERRUPTED:
-            leave(INTERRUPTED)
-        raise
+    except KeyboardInterrupt:  # outside a command
+        pass
+    except SystemExit as stop:
+        end = stop.code
+    try:
+        interruption.quiet()
+    except KeyboardInterrupt:  # at the very end
+        pass
+    if interruption.received():
+        what = "interrupted; all results were written before" if not end else "interrupted"
+        interruption.tell_end(what)
+        interruption.leave(interruption.code())
+    raise SystemExit(MISTAKE if output.lost() and not end else end)
 
 
 def _consent(trust: bool, allow_outside: bool) -> list[str]:
@@ -266,19 +275,29 @@ def _close(
     from ..fleet.one_study import close_into
     from ..report import check_folder
     from .show import decision_in, show_closure
+    from .so_far import SoFar
 
     check_folder(out)  # before the work, not after it
     browser = browser_for(pdf)
-    with working("reading the study") as progress:
-        study, closure, page = close_into(setup, out, settings, command, progress, began=began)
-    show_closure(closure)
+    so_far, closures = SoFar(out, command), []
+    try:
+        with working("reading the study") as progress:
+            study, _, page = close_into(
+                setup, out, settings, command, progress,
+                began=began, known=so_far.known, closed=closures.append,
+            )  # fmt: skip
+        so_far.written()
+    finally:
+        for closure in closures:  # the verdict is told, whatever becomes of the report
+            show_closure(closure)
+    (closure,) = closures
     if study.settings.acceptance is not None and (decision := decision_in(out)):
         say(decision)
     say(f"Report: {page}")
     print_with(browser, page)
     if closure.interrupted:
-        tell("interrupted: the report holds the results so far")
-        raise typer.Exit(INTERRUPTED)
+        interruption.tell_end("interrupted: the report holds the results so far")
+        raise typer.Exit(interruption.code())
 
 
 @app.command()
@@ -596,8 +615,10 @@ def uncertainty(
     say(f"Report: {done.page}")
     print_with(browser, done.page)
     if done.interrupted:
-        tell("interrupted: the report holds the results so far; the same command resumes")
-        raise typer.Exit(INTERRUPTED)
+        interruption.tell_end(
+            "interrupted: the report holds the results so far; the same command resumes"
+        )
+        raise typer.Exit(interruption.code())
 
 
 @app.command()

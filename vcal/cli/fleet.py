@@ -6,9 +6,10 @@ import typer
 
 from ..fleet import Fleet, Settings, close_fleet
 from ..words import counted
+from . import interruption
 from .cluster import check_one, client_of
 from .printing import browser_for, print_with
-from .session import INTERRUPTED, MISTAKE, say, start, tell, working
+from .session import MISTAKE, say, start, tell, working
 
 _FEW = 10
 """Most studies without a report that are listed."""
@@ -48,8 +49,8 @@ def close_all(
     say(f"Page: {fleet.page}")
     print_with(browser, fleet.page)
     if fleet.interrupted:
-        tell("interrupted: repeat the command to go on")
-        raise typer.Exit(INTERRUPTED)
+        interruption.tell_end("interrupted: repeat the command to go on")
+        raise typer.Exit(interruption.code())
     if not all(one.done for one in fleet.members):
         raise typer.Exit(MISTAKE)
 

@@ -77,11 +77,14 @@ def close_into(
     progress: Callable[[str], None] = lambda step: None,
     checked: Callable[[Study], None] = lambda study: None,
     began: float | None = None,
+    known: Callable[[list[dict[str, Any]]], None] = lambda found: None,
+    closed: Callable[[Closure], None] = lambda closure: None,
 ) -> tuple[Study, Closure, Path]:
     """Read a study, close the loop on it and write the report into `out`; the study, the closure
     and the path of the page.
 
-    `checked` is called with the study before the loop is closed; the report states the time since
+    `checked` is called with the study before the loop is closed, `known` with the effects found so
+    far, and `closed` with the result before the report is written. The report states the time since
     `began` (`time.perf_counter`), by default since this call. Raises `StudyError` for every
     mistake in the study, and as `check_folder` does.
     """
@@ -98,7 +101,8 @@ def close_into(
             f"the readings of a {study.sets[0].settings.kind}; add the measured readings, or "
             "simulate some with `vcal simulate`"
         )
-    closure = close_study(study, study.measurement, progress)
+    closure = close_study(study, study.measurement, progress, known)
+    closed(closure)
     progress("writing the report")
     page = write_report(
         closure,

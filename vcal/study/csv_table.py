@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import StudyError
+from ..files import naming
 from ..instruments.base import Column
 from ..registry import closest
 from .messages import listed, refusal
@@ -284,7 +285,7 @@ def write_table(path: Path | str, columns: Mapping[str, np.ndarray]) -> None:
     lengths = {name: len(values) for name, values in columns.items()}
     if len(set(lengths.values())) > 1:
         raise ValueError(f"columns of different lengths: found {lengths}, expected one length")
-    with open(path, "w", encoding="utf-8", newline="") as file:
+    with naming(path), open(path, "w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
         writer.writerows(zip(*map(_written, columns.values()), strict=True))

@@ -3,13 +3,12 @@
 import contextlib
 import hashlib
 import os
-import shutil
-import tempfile
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
 
+from ..files import moving, temporary_folder
 from ..instruments.base import Column
 from ..registry import run_file, unchanged
 from .consent import require_consent, require_inside
@@ -232,15 +231,12 @@ def made_whole(out: Path) -> Iterator[Path]:
     It gets the permissions of any new folder. After an exception it is removed.
     """
     out.parent.mkdir(parents=True, exist_ok=True)
-    work = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
-    try:
+    with temporary_folder(out) as work:
         yield work
         mask = os.umask(0)
         os.umask(mask)
         work.chmod(0o777 & ~mask)
-        if out.is_dir():
-            out.rmdir()
-        work.replace(out)
-    except BaseException:
-        shutil.rmtree(work, ignore_errors=True)
-        raise
+        with moving():
+            if out.is_dir():
+                out.rmdir()
+            work.replace(out)

@@ -1,4 +1,4 @@
-"""Limits of a spreadsheet that are checked before it is unpacked: a small file can hold gigabytes."""
+"""Limits of a spreadsheet, which are checked before it is unpacked: a small file can hold much."""
 
 import io
 import re
