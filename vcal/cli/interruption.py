@@ -81,15 +81,16 @@ def tell_end(sentence: str) -> None:
             os.write(2, f"vcal: {printable(sentence)}\n".encode(errors="replace"))
 
 
-def listen() -> None:
-    """Honour Ctrl-C and SIGTERM from now on. One that the process was started to ignore, as by
-    nohup, stays ignored.
+def listen(watched: bool = True) -> None:
+    """Honour Ctrl-C and SIGTERM from now on; with `watched`, by the end of the process where the
+    main thread does not end in time. A signal that the process was started to ignore, as by nohup,
+    stays ignored.
     """
     usual = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
     heard = [number for number, handler in usual.items() if signal.getsignal(number) is handler]
     for number in heard:
         signal.signal(number, _interrupt)
-    if heard and hasattr(os, "set_blocking"):
+    if heard and watched:
         ours, theirs = os.pipe()
         os.set_blocking(theirs, False)
         signal.set_wakeup_fd(theirs, warn_on_full_buffer=False)

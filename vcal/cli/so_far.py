@@ -32,7 +32,7 @@ class SoFar:
         effects = self.effects
         earlier = "; the earlier report is as it was" if (self.out / "report.json").exists() else ""
         if not effects:
-            return f"interrupted before an effect was found; nothing was written{earlier}"
+            return f"interrupted; nothing was written{earlier}"
         write_interrupted(
             self.out,
             {
