@@ -17,6 +17,8 @@ from collections.abc import Callable
 from types import FrameType
 from typing import Any, NoReturn
 
+import typer
+
 from ..files import remove_temporary
 from ..words import printable
 
@@ -53,6 +55,11 @@ def received() -> bool:
     return bool(_STATE.number)
 
 
+def begin() -> None:
+    """Forget what an earlier command of this process has kept and told."""
+    _STATE.save, _STATE.told = None, False
+
+
 def keep(save: Callable[[], str] | None) -> None:
     """Have `save` called where the command is interrupted: it writes what is known so far and
     returns the sentence that says so. It may be called in any thread, once.
@@ -78,7 +85,7 @@ def tell_end(sentence: str) -> None:
     if not _STATE.told:
         _STATE.told = True
         with contextlib.suppress(OSError):
-            os.write(2, f"vcal: {printable(sentence)}\n".encode(errors="replace"))
+            typer.echo(f"vcal: {printable(sentence)}", err=True)
 
 
 def listen(watched: bool = True) -> None:

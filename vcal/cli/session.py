@@ -31,6 +31,7 @@ def guarded(command: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(command)
     def run(*args: Any, **kwargs: Any) -> None:
+        interruption.begin()
         output.more_to_do(kwargs.get("out") is not None or "folder" in kwargs)
         try:
             command(*args, **kwargs)
