@@ -199,9 +199,9 @@ def _is_file(path: Path) -> bool:
 
 def _instead(path: Path) -> str:
     """What is found in place of a regular file. A device, a pipe or a socket is not opened."""
-    if path.is_dir():
-        return "a folder"
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError):  # a name that is too long
+        if path.is_dir():
+            return "a folder"
         if path.exists():
             return "a device, a pipe or a socket"
     return f"no such file in {path.parent}"
