@@ -373,21 +373,20 @@ def test_an_output_that_is_full(tmp_path):
 def test_a_signal_ends_what_does_not_listen(tmp_path, number):
     """Compiled code runs for many seconds without a look at signals: here a lock stands for it."""
     script = (
-        "import ctypes, sys, time\n"
+        "import ctypes, signal\n"
         "from vcal.cli import interruption\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # whatever it is here
         "interruption.listen()\n"
         "interruption.keep(lambda: 'interrupted: what is known is written')\n"
+        "for number in (signal.SIGINT, signal.SIGTERM):\n"
+        "    signal.signal(number, lambda *of: None)\n"  # lost, as in a callback
         "print('ready', flush=True)\n"
         "while True:\n"
-        "    try:\n"
-        "        ctypes.CDLL(None).sleep(60)\n"  # without the interpreter, as the compiler is
-        "    except KeyboardInterrupt:\n"
-        "        pass\n"  # lost, as in a callback
+        "    ctypes.CDLL(None).sleep(60)\n"  # without the interpreter, as the compiler is
     )
     begun = subprocess.Popen(
         [sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env={**os.environ, "PYTHONPATH": str(Path(vcal.__file__).parents[1])},
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )  # fmt: skip
     assert begun.stdout.readline() == "ready\n"
     began = time.monotonic()

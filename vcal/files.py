@@ -85,8 +85,11 @@ def temporary_folder(out: Path, home: Path | None = None) -> Iterator[Path]:
     """
     home = out.absolute().parent if home is None else home
     _remove_left(out.name, home)
-    with naming(out):
+    try:
         work = Path(tempfile.mkdtemp(prefix=f".{out.name}.", suffix=".new", dir=home))
+    except OSError as error:
+        error.filename = str(out)
+        raise
     _OPEN[work] = _locked(work)
     try:
         with naming(out):

@@ -319,8 +319,9 @@ def _install(
         for name in stale:
             if (out / name).is_file():
                 link_or_copy(out / name, kept / name)
+        write_file(kept / _BEFORE, _text(both))
         placed.append(record)
-        replace_file(out / record, _text(both))
+        os.replace(kept / _BEFORE, out / record)
         for name in others:
             placed.append(name)
             os.replace(work / name, out / name)
