@@ -20,11 +20,11 @@ from records import parser_of, write
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
-from full_disk import full_disk  # noqa: E402
 from typer.testing import CliRunner  # noqa: E402
 
 import vcal.cli.design  # noqa: E402
 import vcal.study.close_study  # noqa: E402
+from full_disk import full_disk  # noqa: E402
 from vcal.cli import app  # noqa: E402
 
 _FEW = ["--set", "loop.draws=100", "--set", 'loop.effects=["backlash","scale_growth"]']
