@@ -672,7 +672,7 @@ def test_simulate_copies_no_file_from_elsewhere(tmp_path, small_tracker_study):
     (small_tracker_study / "errors.csv").rename(tmp_path / "errors.csv")
     setup = small_tracker_study / "setup.toml"
     setup.write_text(setup.read_text().replace("errors.csv", "../errors.csv"))
-    told = refused("simulate", setup, "--out", tmp_path / "made")
+    told = refused("simulate", setup, "--out", tmp_path / "made", "--allow-outside")
     assert "file ../errors.csv: found a file outside the folder of the study" in told
 
 
