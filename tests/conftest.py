@@ -5,6 +5,7 @@ import gc
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import jax
@@ -19,6 +20,7 @@ jax.config.update("jax_enable_x64", True)
 
 _LAZY = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
 _WHOLE = f"{_LAZY} --xla_cpu_parallel_codegen_split_count=1"
+_HOME = pytest.StashKey[tempfile.TemporaryDirectory]()
 _QUICK = (f"{_WHOLE} --xla_cpu_use_fusion_emitters=false", _WHOLE, _LAZY)
 """The first that this release of XLA knows is taken; that of jax 0.12 has fewer flags."""
 
@@ -40,6 +42,10 @@ def pytest_configure(config: pytest.Config) -> None:
         threadpool_limits(1)
     else:
         _compile_quickly()
+    # What a test trusts is not trusted by the user who runs it, whose settings change no test.
+    home = config.stash.setdefault(_HOME, tempfile.TemporaryDirectory(prefix="vcal-home-"))
+    for kind in ("CONFIG", "STATE"):
+        os.environ[f"XDG_{kind}_HOME"] = str(Path(home.name).resolve() / kind.lower())
     for name, value in _programs(config).items():
         jax.config.update(name, value)
 

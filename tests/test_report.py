@@ -1322,7 +1322,7 @@ def test_a_record_without_sums(closed, quick, tmp_path):
     assert set(strict(out / "report.json")["sha256"]) == set(record["files"])
 
 
-@pytest.mark.parametrize("moves", [1, 4, 6, 10])
+@pytest.mark.parametrize("moves", [1, 2, 4])
 def test_interrupted_move_restores_the_earlier_report(closed, quick, tmp_path, monkeypatch, moves):
     _, study, closure = closed
     out = tmp_path / "report"
@@ -1336,6 +1336,8 @@ def test_interrupted_move_restores_the_earlier_report(closed, quick, tmp_path, m
             raise KeyboardInterrupt
         replace(source, target)
 
+    # Where folders cannot change places in one step, files are replaced one by one.
+    monkeypatch.setattr("vcal.report.html.folder.exchange", lambda *folders: False)
     monkeypatch.setattr(os, "replace", interrupted)
     with pytest.raises(KeyboardInterrupt):
         write_report(closure, study, out, command="second")

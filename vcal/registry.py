@@ -115,8 +115,11 @@ def unchanged() -> Iterator[None]:
             catalogue.update(known)
 
 
-def run_file(path: Path, what: str) -> ModuleType:
+def run_file(path: Path, what: str, source: bytes | None = None) -> ModuleType:
     """Run a Python file of the user, every time it is called, and return it as a module.
+
+    `source` are its contents, by default read here. They are compiled anew: a ``__pycache__``
+    beside the file, whose contents nobody reads, is neither used nor written.
 
     The module stays in `sys.modules` under a name that no other file has, and replaces the one of
     an earlier run. `what` is the word for its classes in messages. Raises `StudyError` if the file
@@ -135,7 +138,8 @@ def run_file(path: Path, what: str) -> ModuleType:
     # dataclasses while the file is run, and by other code later.
     sys.modules[spec.name] = module
     try:
-        spec.loader.exec_module(module)
+        text = path.read_bytes() if source is None else source
+        exec(compile(text, str(path), "exec", dont_inherit=True), module.__dict__)
     except BaseException as error:
         if earlier is None:
             del sys.modules[spec.name]

@@ -10,16 +10,16 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
 
-_INTERRUPTED = 130
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 @contextlib.contextmanager
 def importing() -> Iterator[None]:
     """Context for imports that take seconds.
 
-    A process that was started as ``vcal`` or ``python -m vcal`` exits at once on Ctrl-C in this
-    context, without a traceback, and its linear algebra uses one thread. Any other program gets its
-    `KeyboardInterrupt` and keeps its threads.
+    A process that was started as ``vcal`` or ``python -m vcal`` exits at once on Ctrl-C and SIGTERM
+    in this context, without a traceback, and its linear algebra uses one thread. Any other program
+    gets its `KeyboardInterrupt` and keeps its threads.
     """
     with contextlib.ExitStack() as stack:
         stack.enter_context(_uncollected())
@@ -61,27 +61,27 @@ def _single_thread() -> None:
 
 @contextlib.contextmanager
 def _ended_at_once() -> Iterator[None]:
-    """Exit at once on Ctrl-C, by a signal handler.
+    """Exit at once on Ctrl-C and SIGTERM, by a signal handler.
 
     An exception can be lost: in a callback of the garbage collector, of which JAX has one, it is
     printed and ignored.
     """
-    before = signal.getsignal(signal.SIGINT)
+    usual = {number: signal.getsignal(number) for number in _SIGNALS}
     # A process that was started without Ctrl-C, as by nohup, keeps it that way.
-    if not callable(before):
-        yield
-        return
-    signal.signal(signal.SIGINT, _leave)
+    heard = [number for number, handler in usual.items() if handler not in (signal.SIG_IGN, None)]
+    for number in heard:
+        signal.signal(number, _leave)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number in heard:
+            signal.signal(number, usual[number])
 
 
 def _leave(number: int, frame: FrameType | None) -> None:
     """Exit without cleaning up: nothing has been started yet."""
     os.write(2, b"vcal: interrupted\n")
-    os._exit(_INTERRUPTED)
+    os._exit(128 + number)
 
 
 def _is_command() -> bool:

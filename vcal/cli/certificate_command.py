@@ -7,7 +7,8 @@ from typing import Annotated
 import typer
 
 from ..errors import StudyError
-from .commands import Trust, app
+from ..files import replace_file
+from .commands import Outside, Trust, app
 from .compensation_commands import SOURCE, machine_of
 from .session import guarded, say, start, working
 
@@ -38,6 +39,7 @@ def certificate(
         ),
     ] = False,
     trust: Trust = False,
+    allow_outside: Outside = False,
 ) -> None:
     """Write a digital calibration certificate (DCC) of the identified machine."""
     if out.exists():
@@ -57,11 +59,11 @@ def certificate(
     given = tuple(override or ())
     with working("reading the identified machine") as progress:
         of_study = () if is_report(source) else given
-        machine = machine_of(source, of_study, trust, progress)
+        machine = machine_of(source, of_study, (trust, allow_outside), progress)
         progress("evaluating the tests")
         found = stated(machine, () if of_study else given, draft=draft)
         text = dcc(found, datetime.date.today())
-    out.write_text(text, encoding="utf-8")
+    replace_file(out, text)
     for result in found.results:
         count = len(result.values) + len(result.series)
         say(f"{result.norm}: {result.name}, {count} stated, {len(result.unknown)} not determined")

@@ -7,15 +7,19 @@ once.
 import shlex
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from .. import __version__
 from ..demo import starts
 from ..words import counted
+from . import interruption, output
 from .printing import browser_for, print_with, require_page
-from .session import INTERRUPTED, guarded, import_modules, leave, listen, say, start, tell, working
+from .session import MISTAKE, guarded, import_modules, say, start, working
+
+if TYPE_CHECKING:
+    from ..fleet.one_study import Settings
 
 app = typer.Typer(
     name="vcal",
@@ -56,6 +60,13 @@ Trust = Annotated[
         "first: they can do anything that you can.",
     ),
 ]
+Outside = Annotated[
+    bool,
+    typer.Option(
+        "--allow-outside",
+        help="Read data and tables that the study names outside its folder, also by links.",
+    ),
+]
 ReportFolder = Annotated[
     Path,
     typer.Option(
@@ -83,16 +94,29 @@ NoiseFactor = Annotated[
 
 def main() -> None:
     """Run the command line; the process ends with its exit code."""
-    listen()
+    interruption.listen()
+    output.guard()
+    end: int | str | None = 0
     try:
         app()
-    except KeyboardInterrupt:  # outside a command, while modules are imported
-        tell("interrupted")
-        leave(INTERRUPTED)
-    except SystemExit as end:
-        if end.code == INTERRUPTED:
-            leave(INTERRUPTED)
-        raise
+    except KeyboardInterrupt:  # outside a command
+        pass
+    except SystemExit as stop:
+        end = stop.code
+    try:
+        interruption.quiet()
+    except KeyboardInterrupt:  # at the very end
+        pass
+    if interruption.received():
+        what = "interrupted; all results were written before" if not end else "interrupted"
+        interruption.tell_end(what)
+        interruption.leave(interruption.code())
+    raise SystemExit(MISTAKE if output.lost() and not end else end)
+
+
+def _consent(trust: bool, allow_outside: bool) -> list[str]:
+    """The options of a command that say what a study may do."""
+    return ["--trust"] * trust + ["--allow-outside"] * allow_outside
 
 
 def _version(wanted: bool) -> None:
@@ -182,6 +206,7 @@ def loop(
     ] = False,
     override: Override = None,
     trust: Trust = False,
+    allow_outside: Outside = False,
     pdf: Pdf = False,
 ) -> None:
     """Find the effects that the declared model lacks, identify them, and write a report.
@@ -206,17 +231,21 @@ def loop(
         command.append("--compensate-anyway")
     for text in override or []:
         command += ["--set", text]
-    command += [*["--trust"] * trust, *["--pdf"] * pdf, *["--again"] * again]
+    command += [*_consent(trust, allow_outside), *["--pdf"] * pdf, *["--again"] * again]
+    from ..fleet.one_study import Settings
+
     if len(setups) == 1 and workers is None and scheduler is None and not again:
-        _close(setups[0], out, given, shlex.join(command), trust, compensate_anyway, pdf)
+        settings = Settings(tuple(given), trust, compensate_anyway, allow_outside=allow_outside)
+        _close(setups[0], out, settings, shlex.join(command), pdf)
         return
     command += ["--workers", str(workers)] * (workers is not None)
     command += ["--scheduler", scheduler] if scheduler is not None else []
     from .fleet import close_all
 
     close_all(
-        setups, out, given, shlex.join(command), trust=trust, compensate_anyway=compensate_anyway,
-        again=again, workers=workers, scheduler=scheduler, pdf=pdf,
+        setups, out, given, shlex.join(command), trust=trust, allow_outside=allow_outside,
+        compensate_anyway=compensate_anyway, again=again, workers=workers, scheduler=scheduler,
+        pdf=pdf,
     )  # fmt: skip
 
 
@@ -228,39 +257,47 @@ def demo(
 ) -> None:
     """Run `loop` on a bundled laser-tracker measurement with an undeclared effect."""
     from ..demo import FOLDER
+    from ..fleet.one_study import Settings
 
     command = ["vcal", "demo", "--out", str(out), *["--pdf"] * pdf]
-    _close(FOLDER / "setup.toml", out, [], shlex.join(command), pdf=pdf)
+    _close(FOLDER / "setup.toml", out, Settings(), shlex.join(command), pdf)
 
 
 def _close(
     setup: Path,
     out: Path,
-    overrides: list[str],
+    settings: "Settings",
     command: str,
-    trust: bool = False,
-    compensate_anyway: bool = False,
-    pdf: bool = False,
+    pdf: bool,
 ) -> None:
     began = time.perf_counter()
     start()
-    from ..fleet.one_study import Settings, close_into
+    from ..fleet.one_study import close_into
     from ..report import check_folder
     from .show import decision_in, show_closure
+    from .so_far import SoFar
 
     check_folder(out)  # before the work, not after it
     browser = browser_for(pdf)
-    settings = Settings(tuple(overrides), trust, compensate_anyway)
-    with working("reading the study") as progress:
-        study, closure, page = close_into(setup, out, settings, command, progress, began=began)
-    show_closure(closure)
+    so_far, closures = SoFar(out, command), []
+    try:
+        with working("reading the study") as progress:
+            study, _, page = close_into(
+                setup, out, settings, command, progress,
+                began=began, known=so_far.known, closed=closures.append,
+            )  # fmt: skip
+        so_far.written()
+    finally:
+        for closure in closures:  # the verdict is told, whatever becomes of the report
+            show_closure(closure)
+    (closure,) = closures
     if study.settings.acceptance is not None and (decision := decision_in(out)):
         say(decision)
     say(f"Report: {page}")
     print_with(browser, page)
     if closure.interrupted:
-        tell("interrupted: the report holds the results so far")
-        raise typer.Exit(INTERRUPTED)
+        interruption.tell_end("interrupted: the report holds the results so far")
+        raise typer.Exit(interruption.code())
 
 
 @app.command()
@@ -459,6 +496,7 @@ def simulate(
     noise_factor: NoiseFactor = 1.0,
     override: Override = None,
     trust: Trust = False,
+    allow_outside: Outside = False,
 ) -> None:
     """Simulate the measurement of a study on a machine drawn from the priors.
 
@@ -469,7 +507,7 @@ def simulate(
     from ..study.simulated import parse_every_with, write_simulated
 
     with working("simulating"):
-        study = load_study(setup, override or [], trust=trust)
+        study = load_study(setup, override or [], trust=trust, allow_outside=allow_outside)
         place, files = study.model.setup(study.plan), study.files
         effects = parse_every_with(with_ or [], study.catalogue, place, files)
         result = write_simulated(
@@ -535,6 +573,7 @@ def uncertainty(
     ] = None,
     override: Override = None,
     trust: Trust = False,
+    allow_outside: Outside = False,
     pdf: Pdf = False,
 ) -> None:
     """Predict the uncertainty that a measurement plan will give, by GUM and by Monte Carlo.
@@ -554,7 +593,7 @@ def uncertainty(
     for option, texts in (("--with", with_), ("--set", override)):
         for text in texts or []:
             command += [option, text]
-    command += [*["--trust"] * trust, *["--pdf"] * pdf]
+    command += [*_consent(trust, allow_outside), *["--pdf"] * pdf]
     command += ["--workers", str(workers)] * (workers is not None)
     command += ["--scheduler", scheduler] if scheduler is not None else []
     with client_of(workers, scheduler) as client:
@@ -568,6 +607,7 @@ def uncertainty(
             digits=2 if digits == 2 else 1,
             overrides=override or [],
             trust=trust,
+            allow_outside=allow_outside,
             command=shlex.join(command),
             client=client,
         )
@@ -575,8 +615,10 @@ def uncertainty(
     say(f"Report: {done.page}")
     print_with(browser, done.page)
     if done.interrupted:
-        tell("interrupted: the report holds the results so far; the same command resumes")
-        raise typer.Exit(INTERRUPTED)
+        interruption.tell_end(
+            "interrupted: the report holds the results so far; the same command resumes"
+        )
+        raise typer.Exit(interruption.code())
 
 
 @app.command()
@@ -609,6 +651,7 @@ def design(
     seed: Seed = 0,
     override: Override = None,
     trust: Trust = False,
+    allow_outside: Outside = False,
     pdf: Pdf = False,
 ) -> None:
     """Improve a measurement plan before measuring, or plan the next measurement.
@@ -627,7 +670,7 @@ def design(
     for option, texts in (("--separate", separate), ("--set", override)):
         for text in texts or []:
             command += [option, text]
-    command += [*["--trust"] * trust, *["--pdf"] * pdf]
+    command += [*_consent(trust, allow_outside), *["--pdf"] * pdf]
     with working("reading the study") as progress:
         done = run_design(
             setup,
@@ -637,6 +680,7 @@ def design(
             seed=seed,
             overrides=override or [],
             trust=trust,
+            allow_outside=allow_outside,
             command=shlex.join(command),
             progress=progress,
         )
@@ -708,6 +752,7 @@ def check(
     ] = None,
     override: Override = None,
     trust: Trust = False,
+    allow_outside: Outside = False,
     pdf: Pdf = False,
 ) -> None:
     """Read and check a study without a fit, and print a summary of it."""
@@ -717,7 +762,7 @@ def check(
     from .show import show_rows, study_rows
 
     if out is None:
-        study = load_study(setup, override or [], trust=trust)
+        study = load_study(setup, override or [], trust=trust, allow_outside=allow_outside)
         show_rows(study, study_rows(study))
         return
     from ..errors import StudyError
@@ -731,10 +776,10 @@ def check(
         words += ["--set", text]
     command = shlex.join([*words, *["--trust"] * trust, *["--pdf"] * pdf])
     try:
-        study = load_study(setup, override or [], trust=trust)
+        study = load_study(setup, override or [], trust=trust, allow_outside=allow_outside)
     except StudyError as error:
         # The picture of the declared machine may show why.
-        seen = outline(setup, override or [])
+        seen = outline(setup, override or [], allow_outside=allow_outside)
         if seen is not None:
             page = write_refused(seen, str(error), out, command=command)
             say(f"Page: {page}")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import StudyError
-from .commands import Override, Trust, _folder, app
+from .commands import Outside, Override, Trust, _folder, app
 from .session import guarded, say, start, working
 
 if TYPE_CHECKING:
@@ -97,6 +97,7 @@ def compensate(
     ] = False,
     override: Override = None,
     trust: Trust = False,
+    allow_outside: Outside = False,
 ) -> None:
     """Write the files with which a control compensates the identified errors."""
     if list_:
@@ -127,7 +128,7 @@ def compensate(
         wanted = nc_options(tolerance, work_offset or [], ignore_code or [])
         conditions = options_of(option or [], at or []).get("at", {})
         with working("reading the identified machine") as progress:
-            machine = machine_of(source, override or [], trust, progress)
+            machine = machine_of(source, override or [], (trust, allow_outside), progress)
             _check_gain(machine, source, anyway)
         corrected_program(machine, nc, out, wanted, conditions)
         return
@@ -149,7 +150,7 @@ def compensate(
     for flag, texts in (("--option", option), ("--at", at), ("--set", override)):
         words += [word for text in texts or [] for word in (flag, text)]
     with working("reading the identified machine") as progress:
-        machine = machine_of(source, override or [], trust, progress)
+        machine = machine_of(source, override or [], (trust, allow_outside), progress)
         _check_gain(machine, source, anyway)
         progress("building the compensation")
         found = built(machine, to, options)
@@ -186,6 +187,7 @@ def verify(
     seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the draws.")] = 0,
     override: Override = None,
     trust: Trust = False,
+    allow_outside: Outside = False,
 ) -> None:
     """Predict the volumetric error before and after compensation, for every format."""
     start()
@@ -202,7 +204,7 @@ def verify(
     found: dict[str, Verified] = {}
     refused: dict[str, str] = {}
     with working("reading the identified machine") as progress:
-        machine = machine_of(source, override or [], trust, progress)
+        machine = machine_of(source, override or [], (trust, allow_outside), progress)
         found["without"] = verified(machine, draws=draws, seed=seed)
         for name in asked:
             progress(f"simulating the machine with {name}")
@@ -241,11 +243,15 @@ def _show_verified(found: "Mapping[str, Verified]", raw: bool) -> None:
 
 
 def machine_of(
-    source: Path, overrides: Sequence[str], trust: bool, progress: Callable[[str], None]
+    source: Path,
+    overrides: Sequence[str],
+    consent: tuple[bool, bool],
+    progress: Callable[[str], None],
 ) -> "IdentifiedMachine":
     """The identified machine of a report, or of a study whose loop is closed.
 
-    Raises `StudyError` where it is neither, and as the loop does.
+    `consent` holds whether code of the study may be run, and whether files outside its folder may
+    be read. Raises `StudyError` where it is neither, and as the loop does.
     """
     from .. import load_study
     from ..study.close_study import close_study
@@ -258,7 +264,7 @@ def machine_of(
                 "name the study instead"
             )
         return load_machine(source)
-    study = load_study(source, list(overrides), trust=trust)
+    study = load_study(source, list(overrides), trust=consent[0], allow_outside=consent[1])
     if study.measurement is None:
         raise StudyError(
             f"{study.sets[0].file}, header: found a plan without readings, expected a measurement; "

@@ -17,6 +17,7 @@ from ..study import Study, load_study
 from ..study.close_study import close_study
 from ..study.design.rivals import Wanted, parse_rivals, rivals_of
 from ..study.design.task import StudyDesign, check_designed
+from .session import telling
 
 _MORE = {"pose": 1, "point": 10, "setup": 1}
 """Default size of the next measurement, by the group that a space places."""
@@ -38,6 +39,7 @@ def run_design(
     seed: int,
     overrides: Sequence[str],
     trust: bool = False,
+    allow_outside: bool = False,
     command: str,
     progress: Callable[[str], None],
 ) -> Done:
@@ -52,7 +54,7 @@ def run_design(
             "--separate: found it without --next, expected both, as a further measurement is what "
             "separates effects; add --next, or leave out --separate"
         )
-    study = load_study(setup, overrides, trust=trust)
+    study = load_study(setup, overrides, trust=trust, allow_outside=allow_outside)
     if following:
         return _next(study, out, separate, seed, command, began, progress)
     task = StudyDesign.of(study).task()
@@ -63,16 +65,17 @@ def run_design(
     check_designed(study, task.space, done.best)
     both = seen(task, done.nominal), seen(task, done.best)
     progress("writing the report")
-    page = write_design(
-        done,
-        both,
-        study,
-        out,
-        overrides=overrides,
-        seed=seed,
-        command=command,
-        seconds=time.perf_counter() - began,
-    )
+    with telling(lambda: [design_record.sentence(done)]):
+        page = write_design(
+            done,
+            both,
+            study,
+            out,
+            overrides=overrides,
+            seed=seed,
+            command=command,
+            seconds=time.perf_counter() - began,
+        )
     return Done(page, [design_record.sentence(done)])
 
 
@@ -98,8 +101,9 @@ def _next(
     )
     progress("writing the report")
     seconds = time.perf_counter() - began
-    page = write_next(done, study, out, why=why, seed=seed, command=command, seconds=seconds)
     sentences = [why, sentence(done), carried_over(done, study)]
+    with telling(lambda: [line for line in sentences if line]):
+        page = write_next(done, study, out, why=why, seed=seed, command=command, seconds=seconds)
     return Done(page, [line for line in sentences if line])
 
 

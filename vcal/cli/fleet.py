@@ -6,9 +6,10 @@ import typer
 
 from ..fleet import Fleet, Settings, close_fleet
 from ..words import counted
+from . import interruption
 from .cluster import check_one, client_of
 from .printing import browser_for, print_with
-from .session import INTERRUPTED, MISTAKE, say, start, tell, working
+from .session import MISTAKE, say, start, tell, working
 
 _FEW = 10
 """Most studies without a report that are listed."""
@@ -21,6 +22,7 @@ def close_all(
     command: str,
     *,
     trust: bool,
+    allow_outside: bool,
     compensate_anyway: bool,
     again: bool,
     workers: int | None,
@@ -34,7 +36,7 @@ def close_all(
     check_one(workers, scheduler)
     browser = browser_for(pdf)
     start()
-    settings = Settings(tuple(overrides), trust, compensate_anyway, again)
+    settings = Settings(tuple(overrides), trust, compensate_anyway, again, allow_outside)
     with (
         client_of(None, scheduler) as client,
         working(f"closing the loop on {counted(len(setups), 'study', 'studies')}") as progress,
@@ -47,8 +49,8 @@ def close_all(
     say(f"Page: {fleet.page}")
     print_with(browser, fleet.page)
     if fleet.interrupted:
-        tell("interrupted: repeat the command to go on")
-        raise typer.Exit(INTERRUPTED)
+        interruption.tell_end("interrupted: repeat the command to go on")
+        raise typer.Exit(interruption.code())
     if not all(one.done for one in fleet.members):
         raise typer.Exit(MISTAKE)
 

@@ -9,7 +9,7 @@ import typer
 
 from .commands import Pdf, ReportFolder, app
 from .printing import browser_for, print_with
-from .session import guarded, say, start, working
+from .session import guarded, say, start, telling, working
 
 
 @app.command()
@@ -71,7 +71,8 @@ def history(
         found = read_history(reports, given, written=date_written, alpha=alpha, seed=seed)
         progress("writing the report")
         seconds = time.perf_counter() - began
-        page = write_history(found, out, command=shlex.join(words), seconds=seconds)
+        with telling(lambda: [sentence(found), *lines(found)]):
+            page = write_history(found, out, command=shlex.join(words), seconds=seconds)
     say(sentence(found))
     for line in lines(found):
         say(f"  {line}")

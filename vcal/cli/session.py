@@ -1,15 +1,14 @@
 """What all commands share: precision, compilation cache, progress display and error messages."""
 
+import errno
 import functools
 import gc
 import os
-import signal
+import re
 import sys
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from types import FrameType
-from typing import Any, NoReturn
+from typing import Any
 
 import typer
 
@@ -17,12 +16,10 @@ from .. import enable_float64
 from ..errors import StudyError
 from ..startup import importing
 from ..words import printable
+from . import interruption, output
 
 MISTAKE = 2
 """Exit code where the input cannot be used."""
-INTERRUPTED = 130
-"""Exit code after Ctrl-C, as shells expect it: 128 + SIGINT."""
-_CALLBACK = "_xla_gc_callback"
 
 
 def guarded(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -34,30 +31,70 @@ def guarded(command: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(command)
     def run(*args: Any, **kwargs: Any) -> None:
+        interruption.begin()
+        output.more_to_do(kwargs.get("out") is not None or "folder" in kwargs)
         try:
             command(*args, **kwargs)
         except StudyError as error:
             tell(str(error))
             raise typer.Exit(MISTAKE) from None
         except OSError as error:
-            if error.filename is None:
+            if (text := _of_system(error)) is None:
                 raise
-            tell(f"{error.filename}: {error.strerror}")
+            tell(text)
             raise typer.Exit(MISTAKE) from None
         except KeyboardInterrupt:
-            tell("interrupted; nothing was written")
-            raise typer.Exit(INTERRUPTED) from None
+            interruption.tell_end(interruption.saved())
+            raise typer.Exit(interruption.code()) from None
         except BaseException as error:
             from ..study.plugins.trial import own_code_error
 
             # A user's own effect or instrument was called once on loading, which does not exclude
             # a later failure. Such a class may not end the program with a traceback either.
-            if (text := own_code_error(error)) is None:
+            text = own_code_error(error) or _out_of_memory(error)
+            if text is None:
                 raise
             tell(text)
             raise typer.Exit(MISTAKE) from None
 
     return run
+
+
+def _of_system(error: OSError) -> str | None:
+    """What to say about an error of the system; None for one that is not about files."""
+    full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+    if error.filename is None and not full:
+        return None
+    remedy = "; make room there and repeat the command" if full else ""
+    name = "a file" if error.filename is None else os.fsdecode(error.filename)
+    return f"{name}: {error.strerror}{remedy}"
+
+
+def _out_of_memory(error: BaseException) -> str | None:
+    """What to say where there is too little memory; None for another error."""
+    text = str(error)
+    if not isinstance(error, MemoryError):
+        if type(error).__name__ not in ("XlaRuntimeError", "JaxRuntimeError"):
+            return None
+        if "RESOURCE_EXHAUSTED" not in text and "out of memory" not in text.lower():
+            return None
+    size = re.search(r"allocat\w* (?:an array of )?(?:size )?(\d[\d.]*) ?(bytes|[KMGT]i?B)", text)
+    what = f" for {size[1]} {size[2]}" if size else ""
+    return (
+        f"memory: found too little of it{what}, expected enough for all rows and draws; end other "
+        "programs, use fewer --workers or rows, or another machine; files are as they were"
+    )
+
+
+@contextmanager
+def telling(sentences: Callable[[], Sequence[str]]) -> Iterator[None]:
+    """Context for the writing of results: where that fails, they are printed before the error."""
+    try:
+        yield
+    except (OSError, StudyError):
+        for sentence in sentences():
+            say(sentence)
+        raise
 
 
 def tell(message: str) -> None:
@@ -68,46 +105,6 @@ def tell(message: str) -> None:
 def say(text: str, err: bool = False) -> None:
     """Print a text, in which the user's own words cannot control the terminal."""
     typer.echo(printable(text), err=err)
-
-
-def listen() -> None:
-    """Let Ctrl-C raise `KeyboardInterrupt` where it is not lost.
-
-    Python prints and drops an exception raised in a callback of the garbage collector, and JAX has
-    such a callback that runs often. An interruption inside it is sent again a moment later.
-    """
-
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        if frame is not None and frame.f_code.co_name == _CALLBACK:
-            later = threading.Timer(0.05, _again, [number])
-            later.daemon = True
-            later.start()
-            return
-        raise KeyboardInterrupt
-
-    # A process that was started with SIGINT ignored, for example by nohup, keeps ignoring it.
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, interrupt)
-
-
-def _again(number: int) -> None:
-    """Send a signal to the main thread, also where it is waiting."""
-    main = threading.main_thread().ident
-    if hasattr(signal, "pthread_kill") and main is not None:
-        signal.pthread_kill(main, number)
-    else:  # Windows
-        signal.raise_signal(number)
-
-
-def leave(code: int) -> NoReturn:
-    """End the process at once.
-
-    For interruptions: threads of the compiler may still be running, and crash when the interpreter
-    shuts down.
-    """
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(code)
 
 
 def import_modules() -> None:

@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from ..demo import STARTS, starts
 from ..effects import CATALOGUE
 from ..effects.base import Effect, Setup
 from ..errors import StudyError
+from ..files import write_file
 from ..machine.plan import Plan
 from ..registry import nearest
 from ..study import load_study
@@ -39,7 +39,7 @@ def write_start(instrument: str, out: Path) -> list[str]:
     names = []
     with made_whole(out) as work:
         for entry in (STARTS / instrument).iterdir():
-            shutil.copyfile(entry, work / entry.name)
+            write_file(work / entry.name, entry.read_bytes())
             names.append(entry.name)
     return sorted(names)
 

@@ -5,6 +5,7 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -14,7 +15,10 @@ from ..report import DRAWS, check_uncertainty_folder, sentence, write_uncertaint
 from ..study import Study, load_study
 from ..study.messages import refusal
 from ..study.simulated import check_noise_factor, parse_every_with
+from ..uncertainty.checkpoint import STATE
 from ..uncertainty.virtual import check_keys, virtual_calibration
+from . import interruption
+from .session import telling
 
 _FEWEST = 11
 """Fewest draws from which a 95 % coverage interval can be formed."""
@@ -41,6 +45,7 @@ def run_virtual(
     digits: Literal[1, 2],
     overrides: Sequence[str],
     trust: bool = False,
+    allow_outside: bool = False,
     command: str,
     client: Any = None,
 ) -> Done:
@@ -54,7 +59,7 @@ def run_virtual(
     number = parse_draws(draws)
     check_noise_factor(noise_factor)
     check_uncertainty_folder(out)
-    study = load_study(setup, overrides, trust=trust)
+    study = load_study(setup, overrides, trust=trust, allow_outside=allow_outside)
     _check_shapes(study)
     truth = _truth(study, effects)
     settings: dict[str, Any] = {
@@ -65,6 +70,7 @@ def run_virtual(
         "digits": digits,
     }
     with _campaign(out) as folder, drawing() as (step, progress):
+        interruption.keep(partial(_resumable, folder))
         result = virtual_calibration(
             truth,
             study.model,
@@ -80,12 +86,21 @@ def run_virtual(
         )
         step("writing the report")
         seconds = time.perf_counter() - began
-        page = write_uncertainty(
-            result, study, out, settings=settings, command=command, seconds=seconds
-        )
+        with telling(lambda: [sentence(result)]):
+            page = write_uncertainty(
+                result, study, out, settings=settings, command=command, seconds=seconds
+            )
     if not result.ensemble.interrupted:
+        interruption.keep(lambda: f"interrupted; the report in {out} is complete")
         shutil.rmtree(folder)
     return Done(page, sentence(result), result.ensemble.interrupted)
+
+
+def _resumable(folder: Path) -> str:
+    """What an interruption leaves of the draws."""
+    if not (folder / STATE).exists():
+        return "interrupted; nothing was written"
+    return f"interrupted: the draws so far are in {folder}; the same command resumes"
 
 
 def parse_draws(text: str) -> int | Literal["adaptive"]:

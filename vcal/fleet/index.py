@@ -14,7 +14,7 @@ from .jobs import REPORTS
 from .one_study import Member
 
 SCHEMA = "vcal-fleet/1"
-_FOLDER = ReportFolder("fleet.json", "vcal-fleet/", beside=REPORTS)
+_FOLDER = ReportFolder("fleet.json", "vcal-fleet/", beside=REPORTS, live=True)
 _WORDS = {
     "closed": "closed now", "up to date": "kept: up to date", "refused": "cannot be used",
     "failed": "failed", "lost": "lost its process", "not begun": "not begun",

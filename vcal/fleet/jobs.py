@@ -48,6 +48,6 @@ def _command(setup: Path, name: Path, out: Path, settings: Settings) -> str:
     words = ["vcal", "loop", str(setup), "--out", str(out / REPORTS / name)]
     for text in settings.overrides:
         words += ["--set", text]
-    words += ["--trust"] * settings.trust
+    words += ["--trust"] * settings.trust + ["--allow-outside"] * settings.allow_outside
     words += ["--compensate-anyway"] * settings.compensate_anyway
     return shlex.join(words)

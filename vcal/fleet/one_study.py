@@ -32,6 +32,8 @@ class Settings:
     compensate_anyway: bool = False
     again: bool = False
     """Whether studies whose report is up to date are closed again."""
+    allow_outside: bool = False
+    """Whether files outside the folder of a study may be read."""
 
 
 @dataclass(frozen=True)
@@ -75,17 +77,22 @@ def close_into(
     progress: Callable[[str], None] = lambda step: None,
     checked: Callable[[Study], None] = lambda study: None,
     began: float | None = None,
+    known: Callable[[list[dict[str, Any]]], None] = lambda found: None,
+    closed: Callable[[Closure], None] = lambda closure: None,
 ) -> tuple[Study, Closure, Path]:
     """Read a study, close the loop on it and write the report into `out`; the study, the closure
     and the path of the page.
 
-    `checked` is called with the study before the loop is closed; the report states the time since
+    `checked` is called with the study before the loop is closed, `known` with the effects found so
+    far, and `closed` with the result before the report is written. The report states the time since
     `began` (`time.perf_counter`), by default since this call. Raises `StudyError` for every
     mistake in the study, and as `check_folder` does.
     """
     began = time.perf_counter() if began is None else began
     check_folder(out)  # before the work, not after it
-    study = load_study(setup, settings.overrides, trust=settings.trust)
+    study = load_study(
+        setup, settings.overrides, trust=settings.trust, allow_outside=settings.allow_outside
+    )
     check_folder(out, (study.folder / name for name in study.hashes))
     checked(study)
     if study.measurement is None:
@@ -94,7 +101,8 @@ def close_into(
             f"the readings of a {study.sets[0].settings.kind}; add the measured readings, or "
             "simulate some with `vcal simulate`"
         )
-    closure = close_study(study, study.measurement, progress)
+    closure = close_study(study, study.measurement, progress, known)
+    closed(closure)
     progress("writing the report")
     page = write_report(
         closure,

@@ -12,6 +12,7 @@ import numpy as np
 import tomli_w
 
 from ..errors import StudyError
+from ..files import naming, write_file
 from ..study import load_study
 from ..study.folder import made_whole, require_empty
 from ..study.messages import at, listed, refusal
@@ -251,13 +252,13 @@ def _head(exports: Sequence[Export], formats: Sequence[str], notes: Sequence[str
 
 
 def _write(work: Path, text: str, sets: Sequence[DataSet], machine: Machine) -> None:
-    (work / SETUP).write_text(text, encoding="utf-8")
+    write_file(work / SETUP, text)
     for one in sets:
         _write_columns(work / _file(one, len(sets)), one.columns)
         for name, data in one.files.items():
-            (work / name).write_bytes(data)
+            write_file(work / name, data)
     for name, data in machine.files.items():
-        (work / name).write_bytes(data)
+        write_file(work / name, data)
 
 
 def _write_columns(path: Path, columns: Columns) -> None:
@@ -268,7 +269,7 @@ def _write_columns(path: Path, columns: Columns) -> None:
             cells.append([str(int(v)) for v in values])
         else:
             cells.append([v if isinstance(v, str) else repr(float(v)) for v in values])
-    with open(path, "w", encoding="utf-8", newline="") as file:
+    with naming(path), open(path, "w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
         writer.writerows(zip(*cells, strict=True))

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -74,6 +74,7 @@ def close_loop(
     require_testable: bool = False,
     declared: Callable[[Fit], None] = lambda fit: None,
     progress: Callable[[str], None] = lambda text: None,
+    known: Callable[[list[dict[str, Any]]], None] = lambda found: None,
 ) -> Closure:
     """Find, name and add the effects that are missing from `model`.
 
@@ -88,7 +89,8 @@ def close_loop(
     the sizes of the declared families (`vcal.identification.family_sizes`) for the final fit,
     after the search.
     `declared` receives the fit of the declared model before the search, and may raise.
-    `progress` receives a text before every step.
+    `progress` receives a text before every step, `known` the effects that were added so far as
+    plain values whenever they change.
 
     Where the declared sizes of the families do not fit, and other sizes are more probable than any
     effect that could be missing, the search starts from a fit with these sizes.
@@ -126,6 +128,7 @@ def close_loop(
     def reached(found: State) -> None:
         nonlocal state
         state = found
+        known(_so_far(run, state))
 
     try:
         state, sizes = run.with_fitting_sizes(state)
@@ -179,6 +182,23 @@ def close_loop(
         return _finish(*result)
     except KeyboardInterrupt:  # the result is known, and the comparison takes a moment only
         return _finish(*result)
+
+
+def _so_far(run: Search, state: State) -> list[dict[str, Any]]:
+    """The added effects as plain values, without the tests that come at the end of the search."""
+    fit = state.fit
+    return [
+        {
+            "effect": item.effect.name,
+            "placement": item.effect.placement,
+            "p_value": float(item.p_value),
+            "parameters": [
+                {"name": p.name, "value": float(value), "unit": p.unit, "u": float(u)}
+                for _, p, value, u in fit.values_of(place_of(item, fit.model.effects))
+            ],
+        }
+        for item in run.added(state)
+    ]
 
 
 def _undecided(effect: FoundEffect) -> bool:

@@ -1,12 +1,12 @@
 """Compiled programs that are kept from process to process, in the cache folder of the user."""
 
 import os
-import stat
-import sys
 import warnings
 from pathlib import Path
 
 import jax
+
+from ..user_files import cache_base, is_own
 
 _WORTH_KEEPING_S = 0.1
 """Programs that compile in less time are not cached: reading them back would take as long."""
@@ -20,19 +20,8 @@ def cache_folder() -> Path | None:
     """
     if os.environ.get("VCAL_NO_CACHE"):
         return None
-    try:
-        home = Path.home()
-    except RuntimeError:  # a user without a home directory
-        return None
-    if root := os.environ.get("XDG_CACHE_HOME"):
-        base = Path(root)
-    elif sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local")
-    elif sys.platform == "darwin":
-        base = home / "Library" / "Caches"
-    else:
-        base = home / ".cache"
-    return base / "vcal" / f"jax-{jax.__version__}"
+    base = cache_base()
+    return None if base is None else base / f"jax-{jax.__version__}"
 
 
 def keep_programs() -> None:
@@ -49,7 +38,7 @@ def keep_programs() -> None:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError:
         return
-    if not os.access(folder, os.W_OK | os.X_OK) or not _is_own(folder):
+    if not os.access(folder, os.W_OK | os.X_OK) or not _is_safe(folder):
         return
     # A truncated file, or one that another process is writing, is compiled again.
     warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation")
@@ -58,11 +47,17 @@ def keep_programs() -> None:
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
-def _is_own(folder: Path) -> bool:
-    """Whether a folder belongs to the user and nobody else may write into it. Access lists of
-    Windows, where the folder is in the user's profile, are not read.
+def _is_safe(folder: Path) -> bool:
+    """Whether a folder and all programs in it belong to the user, and nobody else may write them.
+
+    Programs that somebody else wrote before the folder was closed to others would be run too.
     """
+    if not is_own(folder):
+        return False
     if not hasattr(os, "getuid"):
         return True
-    found = folder.stat()
-    return found.st_uid == os.getuid() and not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    with os.scandir(folder) as entries:
+        return all(
+            entry.stat(follow_symlinks=False).st_uid == os.getuid() and not entry.is_symlink()
+            for entry in entries
+        )

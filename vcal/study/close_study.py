@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -15,8 +16,14 @@ from .messages import listed, refusal
 from .study import Study
 
 
-def close_study(study: Study, measurement: Measurement, progress: Callable[[str], None]) -> Closure:
-    """Close the loop on a measurement with the study's model, check points and settings.
+def close_study(
+    study: Study,
+    measurement: Measurement,
+    progress: Callable[[str], None],
+    known: Callable[[list[dict[str, Any]]], None] = lambda found: None,
+) -> Closure:
+    """Close the loop on a measurement with the study's model, check points and settings; `known`
+    receives what is found, as in `close_loop`.
 
     Raises `StudyError` where the data allow none of the requested effects to be tested, and where
     the equations of a fit have no solution.
@@ -31,6 +38,7 @@ def close_study(study: Study, measurement: Measurement, progress: Callable[[str]
             require_testable=bool(study.options.effects),
             declared=partial(check_declared, study),
             progress=progress,
+            known=known,
         )
     except UntestableError as error:
         raise refusal(

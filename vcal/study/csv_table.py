@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import StudyError
+from ..files import naming
 from ..instruments.base import Column
 from ..registry import closest
 from .messages import listed, refusal
 from .reading.assign import Assigned, Place, assign, cells_of, expected_cell, values_of
 from .reading.formats import DEFAULT, TableFormat
-from .reading.grid import NO_NUMBER, Cells, Grid, marks_of
+from .reading.grid import NO_NUMBER, Cells, Grid, marks_of, no_table
 from .reading.parquet import read_parquet
 from .reading.text import SEPARATORS, read_text
 from .reading.times import Clock
@@ -226,6 +227,8 @@ def table_of(
         if name not in header:
             # A column that has a meaning of its own is not a misspelling of this one.
             free = [c for c in header if c not in asked and c not in labels and not optional(c)]
+            if len(free) == len(header) and len(grid.lines) and not grid.has_numbers:
+                raise no_table(table.name, grid.lines[0])
             raise _missing(table.name, name, header, free)
     unread: dict[str, np.ndarray] = {}
     if not grid.lines:
@@ -282,7 +285,7 @@ def write_table(path: Path | str, columns: Mapping[str, np.ndarray]) -> None:
     lengths = {name: len(values) for name, values in columns.items()}
     if len(set(lengths.values())) > 1:
         raise ValueError(f"columns of different lengths: found {lengths}, expected one length")
-    with open(path, "w", encoding="utf-8", newline="") as file:
+    with naming(path), open(path, "w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
         writer.writerows(zip(*map(_written, columns.values()), strict=True))

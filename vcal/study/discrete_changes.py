@@ -89,7 +89,7 @@ def check_declared(study: Study, fit: Fit) -> None:
 def following(study: Study, found: DeclaredSizes) -> list[Change]:
     """The changes after which the readings follow the declared machine, the likeliest first."""
     machine = study.settings.machine
-    folder = Folder(study.folder)
+    folder = Folder(study.folder, study.trust, study.allow_outside)
     now = _nominal_rms(study, Change("", 0.0, machine, lambda table: {}), folder)
     tried = []
     for change in discrete_changes(study):

@@ -1,23 +1,28 @@
 """The files of a study folder, each with its hash once it was read; new folders written whole."""
 
+import contextlib
 import hashlib
 import os
-import shutil
-import tempfile
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
 
+from ..files import moving, temporary_folder
 from ..instruments.base import Column
 from ..registry import run_file, unchanged
+from .consent import require_consent, require_inside
 from .csv_table import Table, load_grid, table_of
 from .messages import refusal
 from .reading.assign import Assigned, Place, assign
 from .reading.formats import DEFAULT, TableFormat
 from .reading.grid import Grid
 from .reading.times import Clock
+
+_LARGEST = 4 << 30
+"""Largest size of a file, in bytes. Reading a table takes several times as much memory."""
+_PART = 1 << 20
+"""Bytes of a file that are hashed at a time."""
 
 
 def check_way(out: Path) -> None:
@@ -55,6 +60,8 @@ class Folder:
     root: Path
     trust: bool = False
     """Whether Python files that the study names may be run."""
+    outside: bool = False
+    """Whether data and tables outside the folder may be read."""
     hashes: dict[str, str] = field(default_factory=dict)
     """SHA-256 in hexadecimal, by the file name in the study."""
     formats: dict[str, tuple[TableFormat, Place]] = field(default_factory=dict)
@@ -68,50 +75,55 @@ class Folder:
     _grids: dict[str, Grid] = field(default_factory=dict)
 
     def path(self, name: str, expected: str = "a CSV table with a header line") -> Path:
-        """Path of a file to be read; raises `StudyError` where it does not exist."""
+        """Path of a file to be read; raises `StudyError` where it does not exist, where it is no
+        regular file or larger than 4 GiB, and as `require_inside` does.
+        """
+        return self._found(name, expected)[0]
+
+    def _found(self, name: str, expected: str, code: bool = False) -> tuple[Path, str]:
+        """Path of a file to be read, and its name without a sheet; its hash is kept."""
         name = self.plain(name)
         path = self.root / name
-        if not path.is_file():
+        require_inside(self.root, name, code=code, allowed=self.outside)
+        if not _is_file(path):
             raise refusal(
-                name,
-                "file",
-                "a folder" if path.is_dir() else f"no such file in {self.root}",
-                expected,
-                "add the file or correct its name",
+                name, "file", _instead(path), expected, "add the file or correct its name"
             )
-        self.hashes[name] = hashlib.sha256(path.read_bytes()).hexdigest()
-        return path
+        size = path.stat().st_size
+        if size > _LARGEST:
+            found = f"{size / 2**30:.1f} GiB"
+            raise refusal(name, "file", found, f"at most {_LARGEST >> 30} GiB", "divide the file")
+        digest = hashlib.sha256()
+        with path.open("rb") as file:
+            while part := file.read(_PART):
+                digest.update(part)
+        self.hashes[name] = digest.hexdigest()
+        return path, name
 
     def plain(self, name: str) -> str:
         """Name of a file without a sheet: ``run.xlsx`` of ``run.xlsx#check``."""
         file, mark, _ = name.rpartition("#")
-        return file if mark and not (self.root / name).is_file() else name
+        return file if mark and not _is_file(self.root / name) else name
 
     def has(self, name: str) -> bool:
         """Whether a file exists."""
-        return (self.root / self.plain(name)).is_file()
+        return _is_file(self.root / self.plain(name))
 
     def module(self, name: str, what: str) -> ModuleType:
         """A Python file of the user's own with `what` classes, as a module.
 
         The file is executed once per study, however often the study names it. Its registrations
-        are undone, so that they do not leak into the next study. Raises `StudyError` as `run_file`
-        does, and for a file of a study that is not trusted: a study may come from somebody else,
-        and to check it must not run their code.
+        are undone, so that they do not leak into the next study. Raises `StudyError` as `run_file`,
+        `require_inside` and `require_consent` do: a study may come from somebody else, and to check
+        it must not run their code.
         """
-        path = self.path(name, f"a Python file with {what} classes")
-        if not self.trust:
-            raise refusal(
-                name,
-                "file",
-                f"Python code with {what} classes, which the study names",
-                "permission to run it, as it can do anything that you can",
-                "read it, then repeat the command with --trust "
-                "(in Python: load_study(..., trust=True))",
-            )
+        path, plain = self._found(name, f"a Python file with {what} classes", code=True)
         if name not in self._modules:
+            source = path.read_bytes()  # what is agreed to is what is run
+            require_consent(self.root, plain, source, what, self.trust)
+            self.hashes[plain] = hashlib.sha256(source).hexdigest()
             with unchanged():
-                self._modules[name] = run_file(path, what)
+                self._modules[name] = run_file(path, what, source)
         return self._modules[name]
 
     def written(self, name: str) -> tuple[str, ...]:
@@ -178,6 +190,23 @@ class Folder:
         return self._grids[name]
 
 
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a name that is too long
+        return False
+
+
+def _instead(path: Path) -> str:
+    """What is found in place of a regular file. A device, a pipe or a socket is not opened."""
+    with contextlib.suppress(OSError):  # a name that is too long
+        if path.is_dir():
+            return "a folder"
+        if path.exists():
+            return "a device, a pipe or a socket"
+    return f"no such file in {path.parent}"
+
+
 def _nothing(name: str) -> Column | None:
     del name
     return None
@@ -195,22 +224,19 @@ def require_empty(out: Path) -> None:
         )
 
 
-@contextmanager
+@contextlib.contextmanager
 def made_whole(out: Path) -> Iterator[Path]:
     """A temporary folder that is renamed to `out` when it is complete.
 
     It gets the permissions of any new folder. After an exception it is removed.
     """
     out.parent.mkdir(parents=True, exist_ok=True)
-    work = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
-    try:
+    with temporary_folder(out) as work:
         yield work
         mask = os.umask(0)
         os.umask(mask)
         work.chmod(0o777 & ~mask)
-        if out.is_dir():
-            out.rmdir()
-        work.replace(out)
-    except BaseException:
-        shutil.rmtree(work, ignore_errors=True)
-        raise
+        with moving():
+            if out.is_dir():
+                out.rmdir()
+            work.replace(out)

@@ -15,6 +15,7 @@ from ..instruments.conditions import linear_plan
 from ..instruments.several import with_tool
 from ..machine.chain import Chain
 from ..words import printable
+from .consent import require_inside
 from .folder import Folder
 from .plugins.instruments import instrument_class, readings_of
 from .settings import AnySettings, StudySettings, validate
@@ -39,17 +40,23 @@ class Outline:
     """SHA-256 of every input file that was read, by name."""
 
 
-def outline(path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = ()) -> Outline | None:
+def outline(
+    path: Path | str,
+    overrides: Mapping[str, Any] | Sequence[str] = (),
+    *,
+    allow_outside: bool = False,
+) -> Outline | None:
     """The declared machine of a study that `load_study` refuses, and the tables of its data sets
     without the checks of their readings; None where the study file itself is refused.
 
-    Python files that the study names are not run.
+    Python files that the study names are not run, unless the user has trusted them before.
     """
     path = Path(path)
     if path.is_dir():
         path = path / "setup.toml"
-    folder = Folder(path.parent)
+    folder = Folder(path.parent, outside=allow_outside)
     try:
+        require_inside(folder.root, path.name, allowed=allow_outside)
         raw, given = read_setup(path, overrides)
         folder.path(path.name)
         settings = validate(raw, path.name, given, folder)

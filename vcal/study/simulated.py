@@ -2,7 +2,6 @@
 
 import json
 import math
-import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -15,6 +14,7 @@ from pydantic import ValidationError
 
 from ..effects.base import Effect, Setup
 from ..errors import StudyError
+from ..files import write_file
 from ..instruments.conditions import file_name, inside_name, linear_plan, linear_plan_table
 from ..model.forward import Model
 from ..model.simulate import Simulated, scattered, simulate
@@ -179,16 +179,16 @@ def write_simulated(
         for name in study.hashes:
             (work / name).parent.mkdir(parents=True, exist_ok=True)
             if name not in tables:
-                shutil.copyfile(study.folder / name, work / name)
+                write_file(work / name, (study.folder / name).read_bytes())
         raw, _ = read_setup(study.path, overrides)
         own = with_own_tables(raw, tables)
         if overrides or own != raw:
-            (work / study.path.name).write_text(_setup(study, own), encoding="utf-8")
+            write_file(work / study.path.name, _setup(study, own))
         for name, table in tables.items():
             path = work / own_name(name)
             path.parent.mkdir(parents=True, exist_ok=True)
             write_table(path, table)
-        (work / "truth.json").write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
+        write_file(work / "truth.json", json.dumps(truth, indent=1) + "\n")
     return result
 
 

@@ -26,6 +26,7 @@ from ..model.measurement import CheckPoints, Measurement
 from ..numerics.spatial import require_float64
 from ..registry import nearest
 from ..words import counted, plural, printable
+from .consent import require_inside
 from .csv_table import Table
 from .declared_effects import catalogue_with, declared_effects, unknown_effect
 from .folder import Folder
@@ -127,6 +128,8 @@ class Study:
     """Every table as it was read, by the name that the study gives it."""
     trust: bool = False
     """Whether the Python files that it names may be run."""
+    allow_outside: bool = False
+    """Whether files outside its folder may be read."""
 
     def __repr__(self) -> str:
         kinds = ", ".join(one.settings.kind for one in self.sets)
@@ -206,13 +209,19 @@ class Study:
 
 
 def load_study(
-    path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = (), *, trust: bool = False
+    path: Path | str,
+    overrides: Mapping[str, Any] | Sequence[str] = (),
+    *,
+    trust: bool = False,
+    allow_outside: bool = False,
 ) -> Study:
     """Read a study file, or the ``setup.toml`` of a folder, and all files that it names.
 
     `overrides` replace keys before the checks: texts such as ``"instrument.joints=read"``, or a
     mapping of keys to values. Python files with effects and instruments of the user's own are run
-    only with `trust`. Raises `StudyError` for every mistake in the input, and
+    with `trust`, where they lie in a folder that the user's settings trust, or where the same
+    contents were trusted before at this path. Other files must lie in the folder of the study,
+    unless `allow_outside` is set. Raises `StudyError` for every mistake in the input, and
     `RuntimeError` where JAX runs in float32.
     """
     require_float64()
@@ -220,8 +229,9 @@ def load_study(
     if path.is_dir():
         path = path / "setup.toml"
     file = path.name
+    folder = Folder(path.parent, trust, allow_outside)
+    require_inside(folder.root, file, allowed=allow_outside)
     raw, given = read_setup(path, overrides)
-    folder = Folder(path.parent, trust)
     folder.path(file)
     settings = validate(raw, file, given, folder)
     folder.formats.update(table_formats(settings, file))
@@ -291,6 +301,7 @@ def load_study(
         hashes=folder.hashes,
         tables=folder.tables,
         trust=trust,
+        allow_outside=allow_outside,
     )
 
 

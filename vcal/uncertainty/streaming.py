@@ -92,7 +92,7 @@ def stream(
     `KeyboardInterrupt` ends the campaign with the results so far (`Ensemble.interrupted`).
 
     Raises `ValueError` for invalid settings and for values that differ from their declaration, and
-    `StudyError` for a folder of another campaign.
+    `StudyError` for a folder of another campaign, or one that another process uses.
     """
     outputs, fields = tuple(outputs), tuple(fields)
     check_declared(outputs, fields)
@@ -108,9 +108,15 @@ def stream(
         mode = f"adaptive, {digits} digits" if draws == "adaptive" else "given"
         settings = _settings(fingerprint, summary.declared, block, mode)
         checkpoint = Checkpoint(Path(folder), settings)
-        _resume(summary, checkpoint, total)
-    run = _Run(summary, checkpoint, total, block, chunk, digits if draws == "adaptive" else None)
-    interrupted = _drive(run, evaluate, progress, devices)
+    watched = digits if draws == "adaptive" else None
+    try:
+        if checkpoint is not None:
+            _resume(summary, checkpoint, total)
+        run = _Run(summary, checkpoint, total, block, chunk, watched)
+        interrupted = _drive(run, evaluate, progress, devices)
+    finally:
+        if checkpoint is not None:
+            checkpoint.release()
     if interrupted and summary.draws < 2:
         raise KeyboardInterrupt
     adaptive = None

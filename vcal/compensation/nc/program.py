@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ...errors import StudyError
+from ...files import naming
 from . import blocks
 from .interpreter import Interpreter
 from .moves import Left, Move, Piece
@@ -74,7 +75,11 @@ def correct_file(
             "for the corrected program; give another one"
         ) from None
     try:
-        with _uncollected(), os.fdopen(handle, "w", encoding="latin-1", newline="") as file:
+        with (
+            naming(out),
+            _uncollected(),
+            os.fdopen(handle, "w", encoding="latin-1", newline="") as file,
+        ):
             for part in correction.texts(text):
                 file.write(part)
         os.chmod(kept, path.stat().st_mode & 0o777)

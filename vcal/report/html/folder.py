@@ -5,13 +5,20 @@ import hashlib
 import json
 import os
 import shutil
-import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ...errors import StudyError
+from ...files import (
+    exchange,
+    link_or_copy,
+    moving,
+    replace_file,
+    temporary_folder,
+    write_file,
+)
 from ...study.folder import check_way
 from ...study.messages import listed, refusal
 from .picture import Picture
@@ -19,6 +26,10 @@ from .picture import Picture
 _KEPT = ".earlier"
 _SUMS = "sha256"
 """Key of a record for the SHA-256 sums of all files."""
+_BEFORE = "replaces_sha256"
+"""Key of a record while files are replaced one by one: the sums of those of the earlier report."""
+INTERRUPTED_FILE = "interrupted.json"
+"""What was known when a loop was interrupted; the next report removes it."""
 _NOT_EDITED = (".html", ".png", ".svg")
 """Files that nobody edits: replaced even where a record of an older vcal has no sums."""
 
@@ -47,6 +58,9 @@ class ReportFolder:
     """First part of the schema of such a record."""
     beside: str = ""
     """Name of a folder that may lie beside the files; empty: none."""
+    live: bool = False
+    """Whether other processes write to that folder at the same time, so that it stays where it is.
+    """
     sometimes: tuple[str, ...] = ()
     """Names of files that only some of these reports hold; a user's file may have such a name."""
 
@@ -61,7 +75,9 @@ class ReportFolder:
             return
         if not out.is_dir():
             raise _refused(out, "a file", "a folder, or a name that is free", "choose another")
-        others = sorted(p.name for p in out.iterdir() if p.name != self.beside or not p.is_dir())
+        beside = {INTERRUPTED_FILE} if is_interrupted(out) else set()
+        beside |= {self.beside} if (out / self.beside).is_dir() else set()
+        others = sorted(p.name for p in out.iterdir() if p.name not in beside)
         if others and not self.files(out):
             raise _refused(
                 out,
@@ -103,7 +119,9 @@ class ReportFolder:
             files = make(work)
             self._seal(work, files)
             self.check(out, files)  # once more: making the files may have taken long
-            _install(work, out, files, self.files(out))
+            stale = {*self.files(out), *files, *[INTERRUPTED_FILE] * is_interrupted(out)}
+            if self.live or not _exchanged(work, out, stale, files):
+                _install(work, out, files, stale, self.record)
 
     def write(self, work: Path, contents: Contents) -> list[str]:
         """Write the contents into the temporary folder; returns the names of all files, which the
@@ -113,12 +131,12 @@ class ReportFolder:
         drawn = [picture.file for picture in contents.pictures]
         files = [*contents.others, *drawn, *contents.texts, self.record]
         for picture in contents.pictures:
-            (work / picture.file).write_bytes(picture.data)
+            write_file(work / picture.file, picture.data)
         for name, text in contents.texts.items():
-            (work / name).write_text(text, encoding="utf-8")
+            write_file(work / name, text)
         content = {**contents.record, "files": files}
         strict = json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False)
-        (work / self.record).write_text(strict + "\n", encoding="utf-8")
+        write_file(work / self.record, strict + "\n")
         return files
 
     def files(self, out: Path) -> list[str]:
@@ -142,14 +160,14 @@ class ReportFolder:
         content = self._content(work)
         sums = {name: _sum((work / name).read_bytes()) for name in files if name != self.record}
         content[_SUMS] = sums | {self.record: _sum(_text(content).encode())}
-        (work / self.record).write_text(_text(content), encoding="utf-8")
+        write_file(work / self.record, _text(content))
 
     def _changed(self, out: Path, files: Sequence[str]) -> tuple[list[str], bool]:
         """Files to be replaced that differ from those of the earlier report, and whether that is
         known: without sums, all files that may have been edited.
         """
         content, earlier = self._content(out), self.files(out)
-        sums = content.pop(_SUMS, None)
+        sums, before = content.pop(_SUMS, None), content.pop(_BEFORE, {})
         names = dict.fromkeys(n for n in (*earlier, *self.sometimes, *files) if (out / n).is_file())
         if not isinstance(sums, Mapping):
             kept = (n for n in names if n not in earlier or not n.endswith(_NOT_EDITED))
@@ -157,7 +175,9 @@ class ReportFolder:
         found = {n: _sum((out / n).read_bytes()) for n in names if n != self.record}
         if earlier:
             found[self.record] = _sum(_text(content).encode())
-        return [n for n, value in found.items() if sums.get(n) != value], True
+        before = before if isinstance(before, Mapping) else {}
+        known = {n: (sums.get(n), before.get(n)) for n in found}
+        return [n for n, value in found.items() if value not in known[n]], True
 
 
 def add_file(out: Path, name: str, data: bytes) -> None:
@@ -174,16 +194,14 @@ def add_file(out: Path, name: str, data: bytes) -> None:
         if (out / name).exists() and name not in content["files"]:
             expected = "no file of that name, or that of an earlier report"
             raise _refused(out, f"{name}, which is no part of the report", expected, "rename it")
-        (out / name).write_bytes(data)
+        replace_file(out / name, data)
         others = [one for one in content["files"] if one not in (name, path.name)]
         content["files"] = [*others, name, path.name]
         sums = {one: value for one, value in sums.items() if one != path.name}
         bare = {key: value for key, value in content.items() if key != _SUMS}
         both = {**bare, _SUMS: sums | {name: _sum(data)}}
         both[_SUMS][path.name] = _sum(_text(bare).encode())
-        fresh = path.with_name(f".{path.name}.fresh")
-        fresh.write_text(_text(both), encoding="utf-8")
-        os.replace(fresh, path)
+        replace_file(path, _text(both))
         return
     raise _refused(out, "no report", "the folder of a report", "write the report first")
 
@@ -220,41 +238,105 @@ def _workshop(out: Path) -> Iterator[Path]:
     elsewhere = out.is_dir() and (
         out.stat().st_dev != home.stat().st_dev or not os.access(home, os.W_OK)
     )
-    work = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out if elsewhere else home))
     try:
-        yield work
+        with temporary_folder(out, out if elsewhere else home) as work:
+            yield work
     finally:
-        shutil.rmtree(work, ignore_errors=True)
         for parent in made:
             with contextlib.suppress(OSError):
                 parent.rmdir()
 
 
-def _install(work: Path, out: Path, files: Sequence[str], earlier: Sequence[str]) -> None:
-    """Move the files from `work` to `out`, those of an earlier report aside; undo everything on
-    an error or interruption.
+def is_interrupted(out: Path) -> bool:
+    """Whether a folder holds what was known when a loop was interrupted (`write_interrupted`)."""
+    return str(_content_of(out / INTERRUPTED_FILE).get("schema", "")).startswith("vcal-interrupted")
+
+
+def write_interrupted(out: Path, record: Mapping[str, Any]) -> None:
+    """Write what is known at an interruption beside an earlier report; the next report replaces it.
+
+    Raises `OSError` with the name of the file.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    replace_file(out / INTERRUPTED_FILE, _text(record))
+
+
+def _exchanged(work: Path, out: Path, stale: Collection[str], files: Sequence[str]) -> bool:
+    """Put the folder `work` in the place of `out` in one step, with all other files of `out`; False
+    where that is not possible.
+
+    A process that is killed leaves the earlier or the new report. It is not possible where the
+    system has no such step, for a folder that is mounted, and for one in which this process is.
+    """
+    out = Path(os.path.realpath(out))
+    if work.parent == out or Path.cwd().is_relative_to(out):
+        return False
+    for entry in list(work.iterdir()):
+        if entry.name not in files:  # made on the way, and no part of the report
+            return False
+    if not out.exists():
+        work.chmod(0o777 & ~_mask())
+        with moving():
+            os.rename(work, out)
+        return True
+    others = [entry for entry in sorted(out.iterdir()) if entry.name not in stale]
+    try:
+        for entry in others:
+            link_or_copy(entry, work / entry.name)
+        shutil.copystat(out, work)
+        if hasattr(os, "chown"):
+            with contextlib.suppress(OSError):
+                os.chown(work, out.stat().st_uid, out.stat().st_gid)
+    except (OSError, shutil.Error):
+        return False
+    return exchange(work, out)
+
+
+def _mask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def _install(
+    work: Path, out: Path, files: Sequence[str], stale: Collection[str], record: str
+) -> None:
+    """Put the files from `work` into `out` one by one, and remove the other stale ones; undo
+    everything on an error or interruption.
+
+    Each file is the earlier or the new one at any time. While they are replaced, the record has
+    the sums of both (`_BEFORE`), so that a folder that a killed process leaves can be replaced.
     """
     fresh = not out.exists()
     out.mkdir(exist_ok=True)
     kept = work / _KEPT
     kept.mkdir()
-    stale = list(dict.fromkeys([*earlier, *files]))
-    aside, placed = [], []
+    content, earlier = _content_of(work / record), _content_of(out / record)
+    both = {**content, _BEFORE: earlier.get(_SUMS, {})}
+    others = [name for name in files if name != record]
+    placed: list[str] = []
     try:
         for name in stale:
             if (out / name).is_file():
-                aside.append(name)
-                os.replace(out / name, kept / name)
-        for name in files:
+                link_or_copy(out / name, kept / name)
+        write_file(kept / _BEFORE, _text(both))
+        placed.append(record)
+        os.replace(kept / _BEFORE, out / record)
+        for name in others:
             placed.append(name)
             os.replace(work / name, out / name)
+        for name in stale:
+            if name not in files and (out / name).is_file():
+                placed.append(name)
+                (out / name).unlink()
+        os.replace(work / record, out / record)
     except BaseException:
         for name in placed:
             with contextlib.suppress(OSError):
-                os.replace(out / name, work / name)
-        for name in aside:
-            with contextlib.suppress(OSError):
-                os.replace(kept / name, out / name)
+                if (kept / name).exists():
+                    os.replace(kept / name, out / name)
+                else:
+                    (out / name).unlink()
         if fresh:
             with contextlib.suppress(OSError):
                 out.rmdir()

@@ -13,6 +13,7 @@ from ...effects.base import Effect
 from ...effects.geometric import GeometricErrors
 from ...model.forward import Model
 from ...registry import nearest
+from ..consent import require_inside
 from ..folder import Folder
 from ..geometric_family import geometric_errors
 from ..messages import listed, refusal
@@ -169,8 +170,9 @@ def check_designed(study: Study, space: PlanSpace, placed: Any) -> None:
 def _family(study: Study, name: str) -> Effect:
     """The geometric errors of the study file `name`, which has to describe the same machine."""
     path = study.folder / name
+    require_inside(study.folder, name, allowed=study.allow_outside)
     raw, given = read_setup(path)
-    folder = Folder(path.parent, study.trust)
+    folder = Folder(path.parent, study.trust, study.allow_outside)
     settings = validate(raw, name, given, folder)
     chain = build_chain(settings.machine, name, folder)
     same = [
@@ -196,4 +198,4 @@ def _family(study: Study, name: str) -> Effect:
             "a study file that declares one",
             "declare a family there, or remove it from the list",
         )
-    return geometric_errors(settings.model.geometric, study.chain, Folder(path.parent), name)
+    return geometric_errors(settings.model.geometric, study.chain, folder, name)

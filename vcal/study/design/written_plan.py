@@ -1,6 +1,5 @@
 """A designed plan as files: the table of the plan, the artefact, and a study around them."""
 
-import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import Any
@@ -9,6 +8,7 @@ import numpy as np
 import tomli_w
 
 from ...design.plan_space import PlanSpace
+from ...files import write_file
 from ..csv_table import write_table
 from ..messages import refusal
 from ..own_format import with_own_tables
@@ -82,13 +82,13 @@ def write_designed(
                 "every name once",
                 "rename the file",
             )
-        shutil.copyfile(study.folder / name, work / moved[name])
+        write_file(work / moved[name], (study.folder / name).read_bytes())
         files.append(moved[name])
     head = (
         f"# Written by `vcal design` from {study.path.name}: the study of the plan in {PLAN}.\n\n"
     )
     text = head + tomli_w.dumps(_renamed(raw, moved))
-    (work / SETUP).write_text(text, encoding="utf-8")
+    write_file(work / SETUP, text)
     return [*files, SETUP]
 
 

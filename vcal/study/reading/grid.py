@@ -102,6 +102,12 @@ class Grid:
     """The cells of the units row; none without one."""
     form: TableFormat = field(default_factory=TableFormat)
 
+    @property
+    def has_numbers(self) -> bool:
+        """Whether one of the first rows holds mostly numbers, as those of a table do."""
+        first = [column.first(_TITLES) for column in self.columns]
+        return any(_are_numbers(row) for row in zip(*first, strict=True))
+
     def unit(self, place: int) -> str:
         """The unit of a column in the units row; empty without one."""
         text = self.units[place] if self.units else ""
@@ -140,6 +146,9 @@ def grid_of_rows(
 def _check_header(
     name: str, header: tuple[str, ...], line: int, rows: Sequence[tuple[int, list[str]]], mark: str
 ) -> None:
+    if not any(_are_numbers(re.split(r"[\s|:]+", " ".join(cells))) for _, cells in rows[:_TITLES]):
+        if len(header) == 1 and re.search(r"\w[\s|:]+\w", header[0]):
+            raise no_table(name, line)
     below = _named_below(header, rows)
     if below:
         raise refusal(
@@ -181,6 +190,25 @@ def _check_header(
             )
 
 
+def no_table(name: str, line: int) -> StudyError:
+    """The error for a file of text that is no table. It shows none of its contents: the file may
+    be another one than was meant, and a message may be passed on.
+    """
+    return refusal(
+        name,
+        f"line {line}",
+        "text without columns of numbers",
+        "a CSV table with a header line",
+        "correct the name of the file, or save it as a table",
+    )
+
+
+def _are_numbers(cells: Sequence[str]) -> bool:
+    """Whether more than half of the filled cells are numbers, with any decimal mark."""
+    filled = [cell for cell in cells if cell.strip()]
+    return 2 * sum(math.isfinite(_loose(cell)) for cell in filled) > len(filled)
+
+
 def _named_below(header: Sequence[str], rows: Sequence[tuple[int, list[str]]]) -> int:
     """The line of a header below one or more titles; 0 where the first line is the header.
 
@@ -210,6 +238,8 @@ def _check_lengths(
 ) -> None:
     if {len(row) for _, row in rows} <= {len(header)}:
         return
+    if not any(_are_numbers(cells) for _, cells in rows[:_TITLES]):
+        raise no_table(name, rows[0][0])
     for count, (line, row) in enumerate(rows, start=1):
         if len(row) == len(header):
             continue

@@ -33,7 +33,10 @@ class Unit:
             return values
         # A ratio such as 25.4 or 5/9 is applied as it is printed, to the last digit of float64.
         ratio = _ratio(self.factor, to.factor)
-        return (values - self.zero) * ratio + to.zero if self.zero or to.zero else values * ratio
+        with np.errstate(over="ignore"):  # infinite, which is refused with the place of the cell
+            if self.zero or to.zero:
+                return (values - self.zero) * ratio + to.zero
+            return values * ratio
 
 
 def _ratio(one: float, other: float) -> float:

@@ -8,6 +8,7 @@ from ...errors import StudyError
 from ..messages import listed, refusal
 from .formats import TableFormat
 from .grid import Grid, grid_of_rows
+from .unpacked import check_unpacked
 
 
 def read_workbook(data: bytes, name: str, sheet: str | int | None, form: TableFormat) -> Grid:
@@ -19,6 +20,7 @@ def read_workbook(data: bytes, name: str, sheet: str | int | None, form: TableFo
         import python_calamine
     except ImportError as error:
         raise missing_extra(name, "a spreadsheet", "tables") from error
+    check_unpacked(data, name)
     try:
         book = python_calamine.load_workbook(io.BytesIO(data))
         sheets = book.sheet_names
