@@ -5,6 +5,7 @@ once.
 """
 
 import shlex
+import sys
 import time
 from pathlib import Path
 from typing import Annotated
@@ -15,7 +16,7 @@ from .. import __version__
 from ..demo import starts
 from ..words import counted
 from .printing import browser_for, print_with, require_page
-from .session import INTERRUPTED, guarded, import_modules, leave, listen, say, start, tell, working
+from .session import INTERRUPTED, guarded, import_modules, leave, listen, lost, say, start, tell, working
 
 app = typer.Typer(
     name="vcal",
@@ -89,9 +90,15 @@ def main() -> None:
     except KeyboardInterrupt:  # outside a command, while modules are imported
         tell("interrupted")
         leave(INTERRUPTED)
+    except OSError as error:  # outside a command, while the help is printed
+        lost(error)
     except SystemExit as end:
         if end.code == INTERRUPTED:
             leave(INTERRUPTED)
+        try:
+            sys.stdout.flush()
+        except OSError as error:
+            lost(error)
         raise
 
 

@@ -1,13 +1,16 @@
 """What all commands share: precision, compilation cache, progress display and error messages."""
 
+import contextlib
+import errno
 import functools
 import gc
 import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -16,12 +19,14 @@ import typer
 from .. import enable_float64
 from ..errors import StudyError
 from ..startup import importing
-from ..words import printable
+from ..words import cut, printable
 
 MISTAKE = 2
 """Exit code where the input cannot be used."""
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells expect it: 128 + SIGINT."""
+_MOST_CHARACTERS = 1480
+"""Most characters of a message after the name of the program."""
 _CALLBACK = "_xla_gc_callback"
 
 
@@ -35,13 +40,14 @@ def guarded(command: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(command)
     def run(*args: Any, **kwargs: Any) -> None:
         try:
+            _require_unicode(kwargs)
             command(*args, **kwargs)
         except StudyError as error:
             tell(str(error))
             raise typer.Exit(MISTAKE) from None
         except OSError as error:
             if error.filename is None:
-                raise
+                lost(error)
             tell(f"{error.filename}: {error.strerror}")
             raise typer.Exit(MISTAKE) from None
         except KeyboardInterrupt:
@@ -60,9 +66,33 @@ def guarded(command: Callable[..., Any]) -> Callable[..., Any]:
     return run
 
 
+def _require_unicode(arguments: Mapping[str, Any]) -> None:
+    """Raise `StudyError` for a path or a text that is no Unicode, as file systems allow it: it can
+    be in no report.
+    """
+    for name, value in arguments.items():
+        for one in value if isinstance(value, list | tuple) else [value]:
+            if isinstance(one, str | Path) and any("\ud800" <= c <= "\udfff" for c in str(one)):
+                raise StudyError(
+                    f"argument {name}: found {str(one)!r}, with bytes that are no characters, "
+                    "expected a text in Unicode; rename the file or the folder"
+                )
+
+
+def lost(error: OSError) -> NoReturn:
+    """End the process where what it prints cannot be written, as to a full disk; without a word
+    where nobody reads it any more.
+    """
+    if error.errno == errno.EPIPE:
+        os._exit(1)
+    with contextlib.suppress(OSError):
+        tell(f"the output could not be written: {error.strerror or error}")
+    os._exit(MISTAKE)  # the interpreter would try it once more
+
+
 def tell(message: str) -> None:
     """Print a message to the user on stderr."""
-    say(f"vcal: {message}", err=True)
+    say(f"vcal: {cut(message, _MOST_CHARACTERS)}", err=True)
 
 
 def say(text: str, err: bool = False) -> None:
@@ -105,8 +135,9 @@ def leave(code: int) -> NoReturn:
     For interruptions: threads of the compiler may still be running, and crash when the interpreter
     shuts down.
     """
-    sys.stdout.flush()
-    sys.stderr.flush()
+    with contextlib.suppress(OSError):
+        sys.stdout.flush()
+        sys.stderr.flush()
     os._exit(code)
 
 

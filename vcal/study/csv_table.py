@@ -11,6 +11,7 @@ import numpy as np
 from ..errors import StudyError
 from ..instruments.base import Column
 from ..registry import closest
+from ..words import printable
 from .messages import listed, refusal
 from .reading.assign import Assigned, Place, assign, cells_of, expected_cell, values_of
 from .reading.formats import DEFAULT, TableFormat
@@ -237,7 +238,9 @@ def table_of(
             known.append(one)
             continue
         if name in labels:
-            table[name] = np.array([cell.strip().removesuffix(NO_NUMBER) for cell in cells.texts])
+            table[name] = np.array(
+                [printable(c.strip().removesuffix(NO_NUMBER), lines=False) for c in cells.texts]
+            )
             known.append(one)
             continue
         column = asked.get(name) or optional(name)

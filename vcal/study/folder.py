@@ -62,6 +62,8 @@ class Folder:
     """
     tables: dict[str, Table] = field(default_factory=dict)
     """The tables that were read, by the file name in the study."""
+    keys: dict[str, str] = field(default_factory=dict)
+    """The key of the study file that names a file, in words, by the file name in the study."""
     clock: Clock = field(default_factory=Clock)
     """The zero of all times with a date."""
     _modules: dict[str, ModuleType] = field(default_factory=dict)
@@ -77,10 +79,16 @@ class Folder:
                 "file",
                 "a folder" if path.is_dir() else f"no such file in {self.root}",
                 expected,
-                "add the file or correct its name",
+                f"add the file or correct its name{self.named_by(name)}",
             )
         self.hashes[name] = hashlib.sha256(path.read_bytes()).hexdigest()
         return path
+
+    def named_by(self, name: str) -> str:
+        """``", key instrument.artefact of setup.toml"``: what names a file; empty where no key is
+        known.
+        """
+        return f", {self.keys[name]}" if name in self.keys else ""
 
     def plain(self, name: str) -> str:
         """Name of a file without a sheet: ``run.xlsx`` of ``run.xlsx#check``."""

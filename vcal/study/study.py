@@ -31,7 +31,7 @@ from .declared_effects import catalogue_with, declared_effects, unknown_effect
 from .folder import Folder
 from .geometric_family import geometric_errors
 from .hold_out import held_out
-from .messages import FEW, listed, refusal, source
+from .messages import FEW, listed, refusal, source, stated
 from .must_see import check_identifiable
 from .plugins.effects import check_own
 from .plugins.instrument_trial import check_instrument
@@ -223,7 +223,10 @@ def load_study(
     raw, given = read_setup(path, overrides)
     folder = Folder(path.parent, trust)
     folder.path(file)
+    folder.keys.update(_naming(raw, file))
     settings = validate(raw, file, given, folder)
+    for name, key in _naming(settings.model_dump(by_alias=True), file, " by default").items():
+        folder.keys.setdefault(name, key)
     folder.formats.update(table_formats(settings, file))
     catalogue = catalogue_with(folder, settings.model.effects_file)
     _check_wanted(settings.loop.effects or (), catalogue, file, given)
@@ -292,6 +295,24 @@ def load_study(
         tables=folder.tables,
         trust=trust,
     )
+
+
+def _naming(tree: Any, file: str, how: str = "") -> dict[str, str]:
+    """The key of every text in the tree of a study file, in words, by the text; and by the text
+    without a sheet (``run.xlsx#check``). The first key of a text counts.
+    """
+    found: dict[str, str] = {}
+    stack = [("", tree)]
+    while stack:
+        key, value = stack.pop()
+        if isinstance(value, str):
+            for name in (value, value.rpartition("#")[0]):
+                found[name] = f"key {key} of {file}{how}"
+        elif isinstance(value, Mapping | list | tuple):
+            items = value.items() if isinstance(value, Mapping) else enumerate(value)
+            stack += [(f"{key}.{part}" if key else str(part), inner) for part, inner in items]
+    found.pop("", None)
+    return found
 
 
 def looked_for(kind: type[Effect]) -> bool:
@@ -633,7 +654,7 @@ def _data_set(
             )
     except KeyedError as error:
         own = key if error.key.startswith("instrument.") else ""
-        raise StudyError(f"{file}, key {own}{error.key}: {error.what}") from error
+        raise stated(file, f"key {own}{error.key}", error.what) from error
     return DataSet(
         name, table_name, settings, instrument, chain, plan, readings, table, declared=declared
     )
@@ -648,7 +669,7 @@ def _naming_rows(settings: InstrumentSettings, folder: Folder, table: Table) -> 
         check_row(settings, instrument_class(settings, folder), error.row, table.rows)
         place = f", {error.place}" if error.place else ""
         where = f"{table.where(error.row)}{place}"
-        raise StudyError(f"{table.name}, {where}: {error.what}") from error
+        raise stated(table.name, where, error.what) from error
 
 
 def _instrument(

@@ -25,6 +25,9 @@ from ..errors import StudyError
 STATE = "campaign.state"
 _FORMAT = 1
 _PART = re.compile(r"values-\d+-\d+\.part(\.new)?")
+UNWRITTEN = (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError,
+              RecursionError, MemoryError)  # fmt: skip
+"""What reading a file raises that vcal did not write, although its checksums are right."""
 _REMEDY = "delete the folder to start again, or choose another"
 
 
@@ -55,7 +58,7 @@ class Checkpoint:
         """
         self.folder.mkdir(parents=True, exist_ok=True)
         path = self.folder / STATE
-        held = self._load(path) if path.is_file() else None
+        held = self._whole(path) if path.is_file() else None
         own = {part["file"] for part in self.parts}
         for other in self.folder.iterdir():
             if _PART.fullmatch(other.name) and other.name not in own:
@@ -76,10 +79,23 @@ class Checkpoint:
             self._rows, self._blocks = rows, len(kept)
         _write(self.folder / STATE, self.fingerprint, arrays, self.parts)
 
+    def _whole(self, path: Path) -> Held:
+        """The state in a file. A checksum can be made anew for any contents, so that contents which
+        vcal does not write are refused wherever they are seen to be such.
+        """
+        try:
+            return self._load(path)
+        except StudyError:
+            raise
+        except UNWRITTEN as error:
+            raise unwritten(path, error) from error
+
     def _load(self, path: Path) -> Held:
         header, arrays = _read(path, self.fingerprint)
         kept = []
         for part in header["parts"]:
+            if not _PART.fullmatch(part["file"]):
+                raise ValueError(f"a part named {part['file']!r}")
             at = self.folder / part["file"]
             if not at.is_file():
                 raise StudyError(
@@ -146,8 +162,14 @@ def _read(
             )
         _check_fingerprint(path, header["fingerprint"], fingerprint)
         digest, arrays = hashlib.sha256(), {}
+        room = os.fstat(file.fileno()).st_size
         for name, kind, shape in header["arrays"]:
-            value = np.fromfile(file, np.dtype(kind), math.prod(shape))
+            dtype, count = np.dtype(kind), math.prod(shape)
+            if dtype.kind not in "biuf" or any(n < 0 for n in shape):
+                raise ValueError(f"an array of {dtype} and shape {shape}")
+            if count * dtype.itemsize > room:
+                raise ValueError(f"an array of {count} numbers in a file of {room} bytes")
+            value = np.fromfile(file, dtype, count)
             digest.update(value.data)
             arrays[name] = value
         if file.read(1) or digest.hexdigest() != header["sha256"]:
@@ -162,6 +184,11 @@ def _check_fingerprint(path: Path, found: Mapping[str, Any], expected: Mapping[s
                 f"{path}: belongs to another campaign: found {name} = {found.get(name)!r}, "
                 f"expected {expected.get(name)!r}; {_REMEDY}"
             )
+
+
+def unwritten(path: Path, error: Exception) -> StudyError:
+    """The error for a file with the right checksums whose contents vcal does not write."""
+    return _refusal(path, f"what vcal does not write ({error})", "the state of a campaign")
 
 
 def _refusal(path: Path, found: str, expected: str) -> StudyError:
