@@ -42,9 +42,7 @@ def test_no_number_of_an_override(small_tracker_study, key, value):
 
 
 def test_two_overrides_that_are_no_number_are_one(small_tracker_study):
-    assert "expected a finite" in refused(
-        small_tracker_study, ["loop.alpha=nan", "loop.alpha=nan"]
-    )
+    assert "expected a finite" in refused(small_tracker_study, ["loop.alpha=nan", "loop.alpha=nan"])
 
 
 @pytest.mark.parametrize("digit", ["²", "٣", "①", "-1", "9" * 5000])

@@ -186,3 +186,7 @@ Expansion = Annotated[
 """A coefficient of thermal expansion, um/(m K)."""
 Index = Annotated[int, Within(0, 10**9, "an index counts from 0, and no table has as many rows")]
 """An index of rows that belong together."""
+RotaryBound = Annotated[
+    float, Within(-36_000.0, 36_000.0, "no rotary axis counts more than a hundred turns")
+]
+"""Lowest or highest angle of a rotary axis, deg."""

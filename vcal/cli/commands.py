@@ -16,7 +16,18 @@ from .. import __version__
 from ..demo import starts
 from ..words import counted
 from .printing import browser_for, print_with, require_page
-from .session import INTERRUPTED, guarded, import_modules, leave, listen, lost, say, start, tell, working
+from .session import (
+    INTERRUPTED,
+    guarded,
+    import_modules,
+    leave,
+    listen,
+    lost,
+    say,
+    start,
+    tell,
+    working,
+)
 
 app = typer.Typer(
     name="vcal",

@@ -386,6 +386,8 @@ def _checked(
                 f"; or, if the column is in {' or '.join(units)}, say so in its name, or with unit "
                 f'= "{units[0]}" in [data.columns]'
             )
+        elif column.why:
+            do += f": {column.why}"
         raise table.refusal(row, column.name, found, expected, do)
     return values
 

@@ -7,6 +7,7 @@ from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
+from ..bounds import OUT_OF_BOUNDS
 from ..errors import StudyError
 from ..registry import closest, nearest
 from ..words import cut, printable
@@ -211,6 +212,8 @@ def _line(
         do = "add what is missing"
     elif kind == "missing":
         found, expected, do = "nothing", "this key", f"add it to {file}"
+    elif kind == OUT_OF_BOUNDS:
+        expected, do = context["expected"], f"correct the value or its unit: {context['why']}"
     elif kind == "greater_than":
         expected = f"a number greater than {context['gt']:g}"
     elif kind == "greater_than_equal":

@@ -101,8 +101,10 @@ class Summary:
         for name, own in self.arrays().items():
             found = arrays.get(name)
             varies = name.endswith(".pilot")  # the number of its rows is that of the first draws
-            if found is None or found.dtype != own.dtype or not (
-                varies or found.shape == own.shape
+            if (
+                found is None
+                or found.dtype != own.dtype
+                or not (varies or found.shape == own.shape)
             ):
                 raise ValueError(f"no {name} of shape {own.shape}")
         if not 0 <= int(arrays["draws"]) <= 2**32:
