@@ -1,5 +1,6 @@
 """Columns of conditions that a table may have, with the bounds of their numbers and the reasons."""
 
+import math
 import re
 from dataclasses import dataclass
 
@@ -40,10 +41,10 @@ CONDITIONS: tuple[Condition, ...] = (
     ),
     Condition(
         r"(\w+_)?(path|distance|travelled)\w*_(mm|m|km)", "`path_mm`, `distance_m`, ...",
-        0.0, 1e12, "a length of path is not negative",
+        0.0, math.inf, "a length of path is not negative",
     ),
     Condition(
-        r"since_\w+_(mm|deg)", "`since_x_mm`, `since_c_deg`", 0.0, 1e9,
+        r"since_\w+_(mm|deg)", "`since_x_mm`, `since_c_deg`", 0.0, math.inf,
         "a distance since the last reversal is not negative",
     ),
     Condition(r"speed_rpm", "`speed_rpm`", -1e6, 1e6, "no spindle turns faster"),

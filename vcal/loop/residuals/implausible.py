@@ -205,8 +205,8 @@ def _tool(chain: Chain) -> list[str]:
         return []
     return [
         f"the tool offset of {1e3 * tool:.4g} mm is longer than the diagonal of the travel, "
-        f"{1e3 * size:.4g} mm; correct its unit, if the frame of the last axis is not that far from "
-        "the tool point"
+        f"{1e3 * size:.4g} mm; correct its unit, if the frame of the last axis is not that far "
+        "from the tool point"
     ]
 
 
