@@ -126,7 +126,7 @@ name="station_drift", rate_X_um_per_h=1e9
 name="backlash", placement="W", size_um=1
 name="backlash", placement="Y", size_um={distribution="uniform", low=-1e6, high=1e6}
 name="backlash", placement="Y", size_um={distribution="uniform", low=5, high=1}
-name="backlash", placement="Y", size_um={distribution="normal", mean=1e5, scale=1}
+name="backlash", placement="Y", size_um={distribution="normal", mean=1e5, std=1}
 """
 """Effects on the laser tracker's machine."""
 
