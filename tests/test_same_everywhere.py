@@ -48,6 +48,7 @@ def usual(few_points, programs, tmp_path_factory):
     return record(few_points, tmp_path_factory.mktemp("usual") / "record.json", programs)
 
 
+@pytest.mark.slow
 def test_all_changes_at_once(usual, few_points, programs, tmp_path):
     """Two threads, another zone, locale, order of sets and home, no docstrings, 20 years on."""
     again = record(
@@ -64,7 +65,7 @@ def test_all_changes_at_once(usual, few_points, programs, tmp_path):
         HOME=str(tmp_path),
         USER="somebody",
     )
-    assert json.loads(usual)["schema"] and len(usual) > 5000
+    assert json.loads(usual)["schema"] and len(usual) > 3000
     assert again == usual
 
 
