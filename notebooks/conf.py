@@ -20,6 +20,7 @@ extensions = [
     "myst_nb",
     "sphinx.ext.autodoc",
     "_site.api",
+    "_site.bounds",
     "_site.commands",
     "_site.docstrings",
     "_site.effects",

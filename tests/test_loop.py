@@ -391,12 +391,12 @@ def test_an_effect_of_the_users_own(lifted, tmp_path):
 @pytest.mark.parametrize(
     ("settings", "expected"),
     [
-        ({"alpha": 0.0}, "alpha: found 0.0, expected greater than 0"),
-        ({"alpha": 1.5}, "alpha: found 1.5, expected less than 1"),
-        ({"draws": 0}, "draws: found 0, expected greater than or equal to 25"),
+        ({"alpha": 0.0}, "alpha: found 0.0, expected a number greater than 0"),
+        ({"alpha": 1.5}, "alpha: found 1.5, expected a number less than 1"),
+        ({"draws": 0}, "draws: found 0, expected a number of at least 25"),
         ({"draws": 20.5}, "draws: found 20.5, expected a valid integer"),
-        ({"seed": -1}, "seed: found -1, expected greater than or equal to 0"),
-        ({"max_effects": -1}, "max_effects: found -1, expected greater than or equal to 0"),
+        ({"seed": -1}, "seed: found -1, expected a number of at least 0"),
+        ({"max_effects": -1}, "max_effects: found -1, expected a number of at least 0"),
         ({"effects": ["backlsh"]}, r"unknown effect 'backlsh' \(did you mean 'backlash'\?\)"),
         ({"effects": "backlsh"}, "unknown effect 'backlsh'"),
         (

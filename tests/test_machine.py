@@ -133,11 +133,11 @@ BAD = {
                "stiffness_N_per_um = [0, 500, 600]\ndamping_Ns_per_mm = [0, -5, 0]",
                "damping_Ns_per_mm.1: found -5"),
     "gain": ("position_gain_per_s = 140", "position_gain_per_s = -40",
-             "key controller.position_gain_per_s: found -40, expected a number greater than 0; "),
+             "key controller.position_gain_per_s: found -40, expected a number of at least 0.001"),
     "no gain": ("position_gain_per_s = 140", 'position_gain_per_s = "40"',
                 'per_s: found "40", expected a number or a list in square brackets'),
     "one gain": ("position_gain_per_s = 140", "position_gain_per_s = [140, -1, 140]",
-                 "per_s.1: found -1, expected a number greater than 0"),
+                 "per_s.1: found -1, expected a number of at least 0.001"),
     "gains": ("position_gain_per_s = 140", "position_gain_per_s = [100, 120]", "found 2 values"),
 }  # fmt: skip
 

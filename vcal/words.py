@@ -33,6 +33,8 @@ def printable(text: str, lines: bool = True) -> str:
     Ends of lines and tabs are kept with `lines`, as in a text of vcal's own. A text of the user
     that stands in one line is taken without.
     """
+    if text.isascii() and text.isprintable():
+        return text
     kept = "\n\t" if lines else ""
     # A page has a million characters, but few different ones.
     escapes = {
@@ -41,6 +43,16 @@ def printable(text: str, lines: bool = True) -> str:
         if unicodedata.category(c) in _UNSEEN and c not in kept
     }
     return text.translate(escapes) if escapes else text
+
+
+def cut(text: str, most: int) -> str:
+    """A text of at most about `most` characters; how many were left out of a longer one stands at
+    its end, or in its middle where the end matters as much (a list, then what to do).
+    """
+    if len(text) <= most:
+        return text
+    tail = most // 4
+    return f"{text[: most - tail]}... ({len(text) - most} more characters) ...{text[-tail:]}"
 
 
 def unsolvable(error: Exception) -> str:

@@ -104,6 +104,49 @@ def _variants(inner: type[BaseModel], place: str, header: str) -> Iterator[Keys]
         yield from _tables(inner, place, header)
 
 
+class Settings(NamedTuple):
+    """A table by the class that checks it, and the keys of it that another table lists."""
+
+    path: str
+    model: type[BaseModel]
+    skip: frozenset[str] = frozenset()
+
+
+def settings_classes(model: type[BaseModel] = settings.StudySettings) -> list[Settings]:
+    """The classes that check the tables of a study file, or of another one, each once."""
+    found: list[Settings] = []
+    seen: set[type[BaseModel]] = set()
+
+    def add(one: type[BaseModel], path: str, skip: frozenset[str] = frozenset()) -> None:
+        if one in seen:
+            return
+        seen.add(one)
+        found.append(Settings(path or "Top level", one, skip))
+        for name, field in one.model_fields.items():
+            if name in skip:
+                continue
+            table, _, rest = path.partition("]")
+            place = f"{table.strip('[')}.{name}" if table.startswith("[") else name
+            stack = [field.annotation]
+            while stack:
+                annotation = stack.pop()
+                if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+                    add(annotation, f"[{place}]{rest.strip(']')}")
+                stack += get_args(annotation)
+
+    add(model, "")
+    if model is settings.StudySettings:
+        for kind, instrument in sorted(INSTRUMENTS.items()):
+            add(instrument.Settings, f"[instrument], {kind}")
+        for kind, space in sorted(SPACES.items()):
+            common = frozenset(settings.DesignSettings.model_fields)
+            add(space.Settings, f"[design], {kind}", common)
+        for family in (settings.SmoothSettings, settings.LinkSettings):
+            add(family, f"[model.geometric], {family.__name__.removesuffix('Settings').lower()}")
+        add(settings.SeveralSettings, "Several data sets")
+    return found
+
+
 def _nested(annotation: Any) -> tuple[type[BaseModel], str] | None:
     """The settings that a key holds, and whether it is one table, rows of tables or named ones."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):

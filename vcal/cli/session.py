@@ -6,8 +6,9 @@ import gc
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -15,11 +16,13 @@ import typer
 from .. import enable_float64
 from ..errors import StudyError
 from ..startup import importing
-from ..words import printable
+from ..words import cut, printable
 from . import interruption, output
 
 MISTAKE = 2
 """Exit code where the input cannot be used."""
+_MOST_CHARACTERS = 1480
+"""Most characters of a message after the name of the program."""
 
 
 def guarded(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -34,6 +37,7 @@ def guarded(command: Callable[..., Any]) -> Callable[..., Any]:
         interruption.begin()
         output.more_to_do(kwargs.get("out") is not None or "folder" in kwargs)
         try:
+            _require_unicode(kwargs)
             command(*args, **kwargs)
         except StudyError as error:
             tell(str(error))
@@ -97,9 +101,22 @@ def telling(sentences: Callable[[], Sequence[str]]) -> Iterator[None]:
         raise
 
 
+def _require_unicode(arguments: Mapping[str, Any]) -> None:
+    """Raise `StudyError` for a path or a text that is no Unicode, as file systems allow it: it can
+    be in no report.
+    """
+    for name, value in arguments.items():
+        for one in value if isinstance(value, list | tuple) else [value]:
+            if isinstance(one, str | Path) and any("\ud800" <= c <= "\udfff" for c in str(one)):
+                raise StudyError(
+                    f"argument {name}: found {str(one)!r}, with bytes that are no characters, "
+                    "expected a text in Unicode; rename the file or the folder"
+                )
+
+
 def tell(message: str) -> None:
     """Print a message to the user on stderr."""
-    say(f"vcal: {message}", err=True)
+    say(f"vcal: {cut(message, _MOST_CHARACTERS)}", err=True)
 
 
 def say(text: str, err: bool = False) -> None:

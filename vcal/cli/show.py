@@ -35,6 +35,7 @@ from ..report.loop.derived import FEW, Listed, declared, in_short, missing_colum
 from ..study import Study
 from ..study.csv_table import Table as CsvTable
 from ..study.declared_effects import choices
+from ..study.messages import listed as in_list
 from ..study.messages import shown
 from ..study.observed_errors import observed_errors
 from ..study.reading.text import PLAIN
@@ -45,6 +46,8 @@ from ..words import counted, plural, printable, three_digits
 _MOST_PITCHES = 6
 """Most pitches that one line lists."""
 _MOST = 6
+_MOST_COMPARED = 100
+"""Most columns that are compared with each other."""
 _FEW_RIVALS, _LEAST_PROBABILITY = 3, 0.05
 """Largest number of rivals that are printed, and the least probability of one."""
 _LITTLE = 0.3
@@ -330,7 +333,7 @@ def _ignored(one: DataSet, header: Sequence[str], of: str) -> list[tuple[str, st
     columns = [column for column in header if column and column not in one.table]
     if not columns:
         return []
-    return [(f"ignored{of}", f"{', '.join(columns)}: no more than half of the cells are numbers")]
+    return [(f"ignored{of}", f"{in_list(columns)}: no more than half of the cells are numbers")]
 
 
 def _constant(plan: Plan, header: Collection[str], of: str) -> list[tuple[str, str]]:
@@ -341,7 +344,7 @@ def _constant(plan: Plan, header: Collection[str], of: str) -> list[tuple[str, s
     if not columns:
         return []
     whose = "their" if columns[1:] else "its"
-    return [(f"constant{of}", f"{', '.join(columns)}: effects of {whose} variation are not seen")]
+    return [(f"constant{of}", f"{in_list(columns)}: effects of {whose} variation are not seen")]
 
 
 def _travel(joint: Joint) -> str:
@@ -377,7 +380,10 @@ def _together(one: DataSet, header: Collection[str], of: str) -> list[tuple[str,
     inside = {column: inside_name(column, axes) for column in header}
     # The motion of an axis follows from its positions.
     names = [n for c, n in inside.items() if n == "t" or n == c or n.startswith("T_")]
-    lines = confounding(one.plan, [n for n in names if n in one.plan.covariates])
+    names = [n for n in names if n in one.plan.covariates]
+    if len(names) > _MOST_COMPARED:  # every pair would be compared; own columns come last
+        names = [n for n in names if n == "t" or n.startswith("T_")][:_MOST_COMPARED]
+    lines = confounding(one.plan, names)
     return [(f"confounded{of}", line) for line in lines]
 
 

@@ -7,8 +7,9 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 import jax
 import numpy as np
 from jaxtyping import Float, Int
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict
 
+from ..bounds import Seconds, Within
 from ..errors import StudyError
 from ..instruments.base import TableInstrument
 from ..machine.chain import Chain
@@ -20,7 +21,10 @@ from ..registry import Catalogue
 
 Goal = Literal["volume", "largest", "determinant"]
 
-_Count = Annotated[int, Field(ge=2, le=200)]
+_Count = Annotated[
+    int, Within(2, 200, "a line has two ends, and more points do not change an average")
+]
+_Degree = Annotated[int, Within(0, 50, "no plan has the points for a higher degree")]
 
 
 class DesignSettings(BaseModel):
@@ -40,17 +44,17 @@ class DesignSettings(BaseModel):
     """Points along X, Y and Z for the volumetric error; machines with other axes use random
     positions.
     """
-    starts: int = Field(default=8, ge=1, le=10_000)
+    starts: Annotated[int, Within(1, 10_000, "no search gains by more starts")] = 8
     """Starts of the search: the present plan, and random plans around it."""
-    steps: int = Field(default=200, ge=1, le=1_000_000)
+    steps: Annotated[int, Within(1, 1_000_000, "no search takes as many steps")] = 200
     """Largest number of steps of the search from one start."""
     families: tuple[str, ...] = ()
     """Study files whose ``[model.geometric]`` counts as well; the criterion is then an average."""
-    must_see: dict[str, int] = {}
+    must_see: dict[str, _Degree] = {}
     """Errors that the designed plan has to identify without a prior, as in ``[data]``."""
-    more: int | None = Field(default=None, ge=1, le=10_000)
+    more: Annotated[int, Within(1, 10_000, "nobody measures as many more")] | None = None
     """Number of poses or points of the next measurement (``--next``)."""
-    seconds_per_metre: float = Field(default=0.0, ge=0)
+    seconds_per_metre: Seconds = 0.0
     """Time of travel between successive points."""
 
 

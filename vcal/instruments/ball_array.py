@@ -2,11 +2,12 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
+from ..bounds import Noise, Uncertainty, Within
 from ..effects.base import Artefact, Effect, Response
 from ..errors import RowError, StudyError
 from ..machine.chain import Chain
@@ -18,8 +19,6 @@ from ..numerics.rigid import Rotation, Scalar, Vector
 from ..numerics.spatial import best_rigid
 from ..words import counted
 from .base import (
-    LARGEST_NOISE,
-    SMALLEST_NOISE,
     Column,
     FileName,
     InstrumentSettings,
@@ -61,16 +60,20 @@ _DERIVED = (
 _XYZ = ("X", "Y", "Z")
 
 
+_LARGE = "no artefact is 20 m long"
+_Share = Annotated[float, Within(-1e3, 1e3, "it is a share of a length, which is checked further")]
+
+
 class BallArraySettings(InstrumentSettings):
     """Keys of ``[instrument]`` for ``kind = "ball_array"``."""
 
     artefact: FileName
     """Table of the calibrated centres of the balls beside the study file."""
-    probe_sigma_um: float = Field(ge=SMALLEST_NOISE, le=LARGEST_NOISE)
+    probe_sigma_um: Noise
     """Noise of each coordinate of a ball, one standard deviation."""
-    ball_position_u_um: float = Field(default=0.0, ge=0, le=LARGEST_NOISE)
+    ball_position_u_um: Uncertainty = 0.0
     """Standard uncertainty of each calibrated coordinate."""
-    supports: tuple[float, float] = (0.2203, 0.7797)
+    supports: tuple[_Share, _Share] = (0.2203, 0.7797)
     """Where the artefact rests, as shares of its length; it bends between the supports."""
 
     @model_validator(mode="after")
@@ -169,7 +172,7 @@ class BallArray(TableInstrument):
     """Ball numbers as in the artefact table."""
     probe_sigma: float
     position_sigma: float
-    supports: tuple[float, float]
+    supports: tuple[_Share, _Share]
     pose_numbers: np.ndarray
     pose_rotation: np.ndarray
     pose_origin: np.ndarray
@@ -213,7 +216,7 @@ class BallArray(TableInstrument):
         artefact = load(
             settings.artefact,
             [Column(name="ball", low=0, integer=True, unique_with=("ball",))]
-            + [Column(name=f"{c}_mm", low=-1e5, high=1e5) for c in "xyz"],
+            + [Column(name=f"{c}_mm", low=-2e4, high=2e4, why=_LARGE) for c in "xyz"],
         )
         _check_balls(settings.artefact, artefact["ball"], table["ball"])
         poses = np.unique(table["pose"]).astype(int)

@@ -26,6 +26,8 @@ class Column(BaseModel):
     low: float = -np.inf
     high: float = np.inf
     """Physical range, ends included."""
+    why: str = ""
+    """Why no number is beyond it: a clause, for messages and the documentation."""
     integer: bool = False
     unique_with: tuple[str, ...] = ()
     """Index columns that together with this one must not repeat."""
@@ -33,9 +35,6 @@ class Column(BaseModel):
     """Whether it is optional, and treated as absent where hardly any cell is a number."""
 
 
-SMALLEST_NOISE, LARGEST_NOISE = 1e-5, 1e5
-"""Range of plausible noise, um or urad: a decimetre, or a tenth of an atom, is an error of the
-unit."""
 FileName = Annotated[str, Field(min_length=1)]
 """A file beside the study file."""
 

@@ -5,14 +5,14 @@ cones. `vcal.geometry.circular_deviations` has the deviations that ISO 230-4 def
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
-from pydantic import Field
 
+from ..bounds import Noise, Range, Uncertainty, Within
 from ..effects.base import Effect, Response
 from ..errors import RowError
 from ..machine.chain import Chain
@@ -24,8 +24,6 @@ from ..numerics.rigid import Rotation, Scalar, Vector
 from ..words import counted
 from .bar_motion import directed_at_rest, motion
 from .base import (
-    LARGEST_NOISE,
-    SMALLEST_NOISE,
     Column,
     InstrumentSettings,
     Loader,
@@ -56,15 +54,17 @@ _SAME_MM = 1e-3
 class DoubleBallBarSettings(InstrumentSettings):
     """Keys of ``[instrument]`` for ``kind = "double_ball_bar"``."""
 
-    length_mm: float = Field(gt=0, le=5000)
+    length_mm: Annotated[
+        float, Within(1.0, 5000.0, "no ball bar is shorter than 1 mm or longer than 5 m")
+    ]
     """Distance of the centres of the balls at which the bar reads zero. A column ``length_mm`` of
     the table replaces it row by row, for bars of several lengths."""
-    length_u_um: float | None = Field(default=None, ge=0, le=LARGEST_NOISE)
+    length_u_um: Uncertainty | None = None
     """Standard uncertainty of that distance from its calibration, the same error in all rows of
     one length. Without it, the length is unknown in every set-up."""
-    sigma_um: float = Field(ge=SMALLEST_NOISE, le=LARGEST_NOISE)
+    sigma_um: Noise
     """Noise of a reading, one standard deviation."""
-    range_mm: float = Field(default=1.0, gt=0, le=100)
+    range_mm: Range = 1.0
     """Range of the bar's sensor: readings beyond it, and positions that need more, are errors."""
 
 

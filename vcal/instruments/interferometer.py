@@ -12,6 +12,7 @@ import equinox as eqx
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from ..bounds import Expansion, Index, Noise, Uncertainty, Within
 from ..effects.base import Effect
 from ..effects.thermal import REFERENCE_DEGC
 from ..errors import KeyedError
@@ -21,8 +22,6 @@ from ..machine.ports import group
 from ..numerics.arrays import known, namespace
 from ..numerics.rigid import ORIGIN, Rotation, Scalar, Vector
 from .base import (
-    LARGEST_NOISE,
-    SMALLEST_NOISE,
     Column,
     InstrumentSettings,
     Loader,
@@ -56,9 +55,9 @@ _FOLDS = 5
 """Number of parts of a line that are held out in turn."""
 _LARGEST_UM, _LARGEST_URAD = 2e8, 2e4
 """Largest readings: the travel of any machine, and any error of an angle."""
-_Coordinate = Annotated[float, Field(ge=-20e3, le=20e3)]
-_Noise = Annotated[float, Field(ge=SMALLEST_NOISE, le=LARGEST_NOISE)]
-_Uncertainty = Annotated[float, Field(ge=0, le=LARGEST_NOISE)]
+_Coordinate = Annotated[
+    float, Within(-20e3, 20e3, "optics are not mounted more than 20 m from the tool point")
+]
 Reading = Literal[
     "position", "straight_x", "straight_y", "straight_z", "angle_a", "angle_b", "angle_c"
 ]
@@ -68,12 +67,14 @@ class LineSettings(BaseModel):
     """``[[instrument.line]]``: one set-up, where it differs from the others."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    line: int = Field(ge=0)
+    line: Index
     """Its number in the column `line`."""
     offset_mm: tuple[_Coordinate, _Coordinate, _Coordinate] = (0.0, 0.0, 0.0)
     """Place of the reflector relative to the tool point, in the frame of the tool: the Abbe lever.
     """
-    dead_path_mm: float = Field(default=0.0, ge=0, le=50e3)
+    dead_path_mm: Annotated[
+        float, Within(0.0, 50e3, "a beam is not led 50 m past what it measures")
+    ] = 0.0
     """Length of air between interferometer and reflector in its first row."""
     alignment: str | None = Field(default=None, pattern=r"^[A-Za-z0-9_]+$")
     """Name of the alignment of its straightness optics. Lines with one name share it, by an optical
@@ -88,39 +89,45 @@ class InterferometerSettings(InstrumentSettings):
     model_config = ConfigDict(extra="forbid", frozen=True)
     reads: tuple[Reading, ...] | None = None
     """Readings of every line; by default those that its rows contain. A plan must name them."""
-    position_sigma_um: _Noise = 0.2
+    position_sigma_um: Noise = 0.2
     """Noise of the positioning, one standard deviation: the part that does not depend on the
     distance."""
-    position_sigma_um_per_m: _Uncertainty = 0.0
+    position_sigma_um_per_m: Uncertainty = 0.0
     """The part that grows with the length of air, added to the other one."""
-    straightness_sigma_um: _Noise = 0.5
+    straightness_sigma_um: Noise = 0.5
     """Noise of a straightness, one standard deviation, likewise."""
-    straightness_sigma_um_per_m: _Uncertainty = 0.0
+    straightness_sigma_um_per_m: Uncertainty = 0.0
     """The part that grows with the length of air."""
-    angle_sigma_urad: _Noise = 0.5
+    angle_sigma_urad: Noise = 0.5
     """Noise of roll, pitch and yaw, one standard deviation."""
     zero: Literal["line", "run"] = "line"
     """Whether the readings are set to zero once in a line, or at the start of every `run` of it."""
-    slope_sigma_um_per_m: _Uncertainty | Literal["free"] = 0.5
+    slope_sigma_um_per_m: Uncertainty | Literal["free"] = 0.5
     """Prior standard deviation of the slope of the positioning in every line: misalignment of the
     beam with the axis (1 mm in 1 m is a cosine error of 0.5 um/m), refractive index. 0 where there
     is none, "free" where it is unknown: the scale of the axis is then not determined."""
-    laser_u_um_per_m: _Uncertainty = 0.0
+    laser_u_um_per_m: Uncertainty = 0.0
     """Standard uncertainty of the scale of the laser, common to all lines."""
-    square_u_urad: _Uncertainty = 0.0
+    square_u_urad: Uncertainty = 0.0
     """Standard uncertainty of the optical square between lines that share an alignment."""
-    expansion_um_per_m_K: float | None = Field(default=None, ge=-50, le=50)  # noqa: N815
+    expansion_um_per_m_K: Expansion | None = None  # noqa: N815
     """Expansion coefficient with which the instrument compensated the positioning to 20 degC, by
     the temperature in the column `T_material_degC`; without it, the readings are not compensated.
     """
-    expansion_u_um_per_m_K: float = Field(default=0.0, ge=0, le=50)  # noqa: N815
+    expansion_u_um_per_m_K: Annotated[  # noqa: N815
+        float, Within(0.0, 50.0, "it would exceed every coefficient of expansion")
+    ] = 0.0
     """Its standard uncertainty."""
-    material_u_K: float = Field(default=0.0, ge=0, le=20)  # noqa: N815
+    material_u_K: Annotated[  # noqa: N815
+        float, Within(0.0, 20.0, "a thermometer that is wrong by more says nothing")
+    ] = 0.0
     """Standard uncertainty of the measured temperature of the material."""
-    dead_path_u_um_per_m_K: float = Field(default=0.0, ge=0, le=50)  # noqa: N815
+    dead_path_u_um_per_m_K: Annotated[  # noqa: N815
+        float, Within(0.0, 50.0, "air and mounts change by less")
+    ] = 0.0
     """Prior standard deviation of the change of the positioning per metre of `dead_path_mm` and
     kelvin of the air: 0.9 for a laser without dead-path compensation."""
-    environment_um: float = Field(default=0.0, ge=0, le=LARGEST_NOISE)
+    environment_um: Uncertainty = 0.0
     """Range of the reading in a drift test of the duration of a run, axis at rest (ISO 230-3):
     environmental variation in the uncertainties of the ISO 230-2 evaluation."""
     line: tuple[LineSettings, ...] = ()

@@ -7,14 +7,15 @@ the machine need to be straight. Brecher, Spierling, Fey, Neus (2021), CIRP Anna
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, NamedTuple, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict
 
+from ..bounds import Index, Noise, Position, Temperature, Within
 from ..effects.base import Effect
 from ..effects.thermal import REFERENCE_DEGC
 from ..errors import KeyedError, RowError, StudyError
@@ -23,8 +24,6 @@ from ..machine.plan import Plan
 from ..machine.ports import group
 from ..numerics.rigid import Rotation, Scalar, Vector
 from .base import (
-    LARGEST_NOISE,
-    SMALLEST_NOISE,
     Column,
     FileName,
     InstrumentSettings,
@@ -141,45 +140,57 @@ def beam_path(
     return tuple(found)
 
 
+_OnDiode = Annotated[float, Within(-1e3, 1e3, "no diode is two metres wide")]
+
+
 class SegmentSettings(BaseModel):
     """A row of ``[[instrument.segment]]``: the user's own path, in the order of the beam."""
 
     model_config = ConfigDict(extra="forbid")
-    number: int = Field(ge=0)
+    number: Index
     """Number of the segment, as in the column `segment` of the data."""
-    start_mm: tuple[float, float, float]
+    start_mm: tuple[Position, Position, Position]
     """Positions of X, Y, Z at its start."""
     direction: Direction
     """The way the beam runs."""
-    length_mm: float = Field(gt=0)
+    length_mm: Annotated[
+        float, Within(0.1, 2e5, "no travel is shorter than 0.1 mm or longer than 200 m")
+    ]
     """Length of the segment."""
-    points: int = Field(default=11, ge=2)
+    points: Annotated[
+        int, Within(2, 100_000, "a line has two ends, and no run has as many points")
+    ] = 11
     """Measuring points, both ends included."""
     psd: Psd = "vertical"
     """The diode that looks at it: the upright one, which faces the beam, or the flat one."""
-    psd_range_mm: tuple[float, float] = (0.0, 0.0)
+    psd_range_mm: tuple[_OnDiode, _OnDiode] = (0.0, 0.0)
     """Position of the beam on the diode at the end of the segment."""
 
 
 class LaserFrameSettings(InstrumentSettings):
     """Keys of ``[instrument]`` for ``kind = "laser_frame"``."""
 
-    sigma_um: float = Field(ge=SMALLEST_NOISE, le=LARGEST_NOISE)
+    sigma_um: Noise
     """Noise of a change from the reference run."""
     beam_path: Literal["3d", "planar", "own"] = "3d"
     """A name, over the travel of the machine; or ``"own"``, with [[instrument.segment]] rows."""
     segment: tuple[SegmentSettings, ...] = ()
-    reference_degC: float = Field(default=REFERENCE_DEGC, ge=-50, le=150)  # noqa: N815
+    reference_degC: Temperature = REFERENCE_DEGC  # noqa: N815
     """Temperature of the reference run: thermal effects are zero there."""
-    psd_lever_mm: float = Field(default=0.0, ge=0, le=1e4)
+    psd_lever_mm: Annotated[float, Within(0.0, 1e4, "no tool is longer than 10 m")] = 0.0
     """Distance from the spindle's axis to the upright diode, towards the beam."""
-    psd_size_mm: float = Field(default=10.0, gt=0, le=1e3)
+    psd_size_mm: Annotated[
+        float, Within(0.1, 1e3, "no diode is narrower than 0.1 mm or a metre wide")
+    ] = 10.0
     """Width of the diode."""
     psd_map: FileName | None = None
     """Table of the diode's calibrated error: u_mm, v_mm, error_u_um, error_v_um on a full grid."""
-    filter_mm: float = Field(default=0.0, ge=0, le=100)
+    filter_mm: Annotated[float, Within(0.0, 100.0, "no filter is 100 mm thick")] = 0.0
     """Thickness of the filter in front of the diode."""
-    filter_index: float = Field(default=1.5, gt=1, le=5)
+    filter_index: Annotated[
+        float,
+        Within(1.0, 5.0, "light is fastest in vacuum, and no glass refracts more", open_low=True),
+    ] = 1.5
     """Its refractive index."""
 
 

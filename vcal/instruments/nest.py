@@ -3,44 +3,48 @@ CIRP Annals 53(1), 429-432): the common part of such instruments.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar, Self
+from typing import Annotated, ClassVar, Self
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
+from ..bounds import Noise, Radius, Range, Uncertainty, Within
 from ..effects.base import Effect, Response
 from ..machine.parameters import Parameter
 from ..machine.plan import Plan
 from ..numerics.arrays import Array
 from ..numerics.record import Record
 from ..numerics.rigid import Scalar, Vector
-from .base import LARGEST_NOISE, SMALLEST_NOISE, Column, InstrumentSettings
+from .base import Column, InstrumentSettings
 
 COORDINATES = ("x_ext_mm", "y_ext_mm", "z_ext_mm")
 PROBES = ("p1_mm", "p2_mm", "p3_mm")
-Triple = tuple[float, float, float]
+_Direction = Annotated[float, Within(-1e3, 1e3, "a direction has components of the size of one")]
+Triple = tuple[_Direction, _Direction, _Direction]
 
 
 class NestSettings(InstrumentSettings):
     """Keys of ``[instrument]`` that describe the probes."""
 
-    external_sigma_um: float = Field(ge=SMALLEST_NOISE, le=LARGEST_NOISE)
+    external_sigma_um: Noise
     """Noise of a measured coordinate."""
-    external_u_um: float = Field(default=0.0, ge=0, le=LARGEST_NOISE)
+    external_u_um: Uncertainty = 0.0
     """Standard uncertainty of a coordinate at the end of the range, from the calibration of the
     sensitivities and directions of the probes. It does not average out over a run.
     """
-    range_mm: float = Field(default=3.0, gt=0)
+    range_mm: Range = 3.0
     """Range of the probes in every direction."""
     probes: tuple[Triple, Triple, Triple] | None = None
     """Directions from the sphere to the three probes, where the data contain the readings p1_mm,
     p2_mm, p3_mm of the probes instead of coordinates.
     """
-    sphere_radius_mm: float = Field(default=11.0, gt=0)
+    sphere_radius_mm: Radius = 11.0
     """Radius of the sphere."""
-    tip_radius_mm: float | None = Field(default=None, ge=0)
+    tip_radius_mm: (
+        Annotated[float, Within(0.0, 1000.0, "a larger tip is a plane: leave the key out")] | None
+    ) = None
     """Radius of the probes' tips; flat where it is None."""
 
     @property

@@ -1,14 +1,15 @@
 """Pose probe: position and orientation of a body on the tool of an arm, in a tracker's frame."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
+from ..bounds import Noise, Within
 from ..effects.base import Effect, Response
 from ..errors import RowError
 from ..machine.chain import Chain
@@ -20,8 +21,6 @@ from ..numerics.rigid import ORIGIN, Rotation, Scalar, Vector, exp
 from .arm_follow import check_arm_follows
 from .arm_table import arm_columns, arm_plan, arm_table
 from .base import (
-    LARGEST_NOISE,
-    SMALLEST_NOISE,
     Column,
     InstrumentSettings,
     Loader,
@@ -50,15 +49,16 @@ _LARGEST_DEG = 15.0
 """Largest plausible error of the orientation of an arm, in half of the rows."""
 _LEAST_SHARE = 1e-6
 """Least eigenvalue of a correlation matrix: a combination of readings without noise is none."""
-_Row = tuple[float, float, float, float, float, float]
+_Share = Annotated[float, Within(-1.0, 1.0, "it is a correlation")]
+_Row = tuple[_Share, _Share, _Share, _Share, _Share, _Share]
 
 
 class PoseProbeSettings(InstrumentSettings):
     """Keys of ``[instrument]`` for ``kind = "pose_probe"``."""
 
-    position_sigma_um: float = Field(ge=SMALLEST_NOISE, le=LARGEST_NOISE)
+    position_sigma_um: Noise
     """Noise of each coordinate of the probe, one standard deviation."""
-    orientation_sigma_urad: float = Field(ge=SMALLEST_NOISE, le=LARGEST_NOISE)
+    orientation_sigma_urad: Noise
     """Noise of its orientation about each axis of the instrument's frame, one standard deviation.
     """
     orientation: Convention = "quaternion"

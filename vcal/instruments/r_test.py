@@ -7,13 +7,13 @@ probes (external) is the error of the structure in between. Weikert, Knapp (2004
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
-from pydantic import Field
 
+from ..bounds import Uncertainty, Within
 from ..effects.base import Effect
 from ..effects.probes import ProbeMatrix, middle_of_runs
 from ..errors import RowError
@@ -22,7 +22,7 @@ from ..machine.circles import Circle, fit_circle
 from ..machine.plan import Plan
 from ..machine.ports import group
 from ..numerics.rigid import Rotation, Scalar, Vector
-from .base import LARGEST_NOISE, Column, Loader, Ports, TableInstrument, register
+from .base import Column, Loader, Ports, TableInstrument, register
 from .conditions import linear_plan, linear_plan_table
 from .follow import check_moves
 from .marks import Mark
@@ -48,9 +48,11 @@ _OWN = ("run", "plane", "sense", "a_set_m_s2", "t_s")
 class RTestSettings(NestSettings):
     """Keys of ``[instrument]`` for ``kind = "r_test"``."""
 
-    radius_mm: float = Field(gt=0)
+    radius_mm: Annotated[
+        float, Within(0.1, 1e4, "no circle of a machine is smaller than 0.1 mm or larger than 10 m")
+    ]
     """Commanded radius of the circles."""
-    internal_sigma_um: float = Field(default=0.0, ge=0, le=LARGEST_NOISE)
+    internal_sigma_um: Uncertainty = 0.0
     """Noise of the axes' scales."""
     acceleration: Literal["actual", "nominal"] = "actual"
     """Acceleration used by effects: that of the travelled circle, or the commanded one, r omega^2

@@ -11,9 +11,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from pydantic import Field, model_validator
+from pydantic import model_validator
 from scipy.spatial.transform import Rotation as Turn
 
+from ..bounds import Angle, Coordinate, Noise, PlaceSigma, Within
 from ..effects.base import Effect, Response
 from ..errors import KeyedError, RowError
 from ..machine.chain import Chain
@@ -26,8 +27,6 @@ from ..numerics.spatial import best_rigid
 from .arm_follow import check_arm_follows
 from .arm_table import arm_columns, arm_plan, arm_table
 from .base import (
-    LARGEST_NOISE,
-    SMALLEST_NOISE,
     Column,
     InstrumentSettings,
     Loader,
@@ -52,34 +51,30 @@ _OTHER_UNIT, _LARGE_M = 5.0, 0.05
 """Ratio of sizes that indicates another unit, and the least size at which it is checked."""
 
 
-_Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
-_Angle = Annotated[float, Field(ge=-360, le=360)]
-
-
 class ReflectorsSettings(InstrumentSettings):
     """Keys of ``[instrument]`` for ``kind = "reflectors"``."""
 
-    tool_reflectors: int = Field(ge=1, le=_MOST)
+    tool_reflectors: Annotated[int, Within(1, _MOST, "no tool carries more reflectors")]
     """Number of reflectors on the tool."""
-    base_reflectors: int = Field(default=0, ge=0, le=_MOST)
+    base_reflectors: Annotated[int, Within(0, _MOST, "no base carries more reflectors")] = 0
     """Number of reflectors on the base."""
-    sigma_um: float = Field(ge=SMALLEST_NOISE, le=LARGEST_NOISE)
+    sigma_um: Noise
     """Noise of each coordinate of a reflector, one standard deviation."""
     joints: Literal["commanded", "read"] = "commanded"
     """Which joint positions move the model: those commanded or those read back."""
-    station_mm: tuple[_Coordinate, _Coordinate, _Coordinate] | None = None
+    station_mm: tuple[Coordinate, Coordinate, Coordinate] | None = None
     """Place of the tracker in the frame of the arm's base, where it is known; without it, the pose
     of the tracker is identified freely."""
-    euler_xyz_deg: tuple[_Angle, _Angle, _Angle] | None = None
+    euler_xyz_deg: tuple[Angle, Angle, Angle] | None = None
     """Rotation of the tracker in that frame, R = Rx Ry Rz."""
-    station_sigma_um: float = Field(default=0.0, ge=0, le=1e6)
+    station_sigma_um: PlaceSigma = 0.0
     """Prior standard deviation of each coordinate of `station_mm`; 0 where it is known."""
-    station_sigma_urad: float = Field(default=0.0, ge=0, le=1e6)
+    station_sigma_urad: PlaceSigma = 0.0
     """Prior standard deviation of each rotation of the tracker; 0 where it is known."""
-    reflectors_mm: tuple[tuple[_Coordinate, _Coordinate, _Coordinate], ...] | None = None
+    reflectors_mm: tuple[tuple[Coordinate, Coordinate, Coordinate], ...] | None = None
     """Coordinates of every reflector on the tool, from the tool point in the frame of the flange,
     where they are known; without them, they are identified freely."""
-    reflectors_sigma_um: float = Field(default=0.0, ge=0, le=1e6)
+    reflectors_sigma_um: PlaceSigma = 0.0
     """Prior standard deviation of each of these coordinates; 0 where they are known."""
 
     @model_validator(mode="after")

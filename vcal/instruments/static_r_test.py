@@ -12,8 +12,8 @@ from typing import Any, Literal, Self
 
 import equinox as eqx
 import numpy as np
-from pydantic import Field
 
+from ..bounds import Uncertainty
 from ..effects.base import Effect, Response
 from ..errors import KeyedError, RowError
 from ..machine.chain import Chain
@@ -23,7 +23,7 @@ from ..machine.ports import group
 from ..numerics.arrays import Array
 from ..numerics.rigid import Rotation, Scalar, Vector
 from ..words import counted
-from .base import LARGEST_NOISE, Column, Loader, Ports, TableInstrument, register
+from .base import Column, Loader, Ports, TableInstrument, register
 from .conditions import ROTARY, file_column, linear_plan, linear_plan_table
 from .follow import cause
 from .marks import Mark
@@ -42,7 +42,7 @@ class StaticRTestSettings(NestSettings):
 
     nest: Literal["spindle", "table"]
     """Position of the probes; the sphere is at the other end."""
-    zero_u_um: float = Field(ge=0, le=LARGEST_NOISE)
+    zero_u_um: Uncertainty
     """Standard uncertainty of the position of the sphere, or of the middle of the probes, in the
     spindle: of each coordinate relative to the declared tool offset. Positions of rotary axes are
     relative to it.

@@ -9,15 +9,16 @@ positioning of linear axes (ISO 230-2), in any direction.
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
+from ..bounds import Noise, Uncertainty, Within
 from ..effects.base import Effect, Response
 from ..errors import KeyedError, RowError, StudyError
 from ..machine.chain import Chain
@@ -28,8 +29,6 @@ from ..numerics.arrays import Array
 from ..numerics.rigid import Rotation, Scalar, Vector
 from ..words import counted
 from .base import (
-    LARGEST_NOISE,
-    SMALLEST_NOISE,
     Column,
     FileName,
     InstrumentSettings,
@@ -68,21 +67,23 @@ class TouchProbeSettings(InstrumentSettings):
     artefact: Artefact
     """What is touched: a ``sphere`` from outside, a ``ring`` from inside, or the faces of a
     ``step_gauge``."""
-    diameter_mm: float | None = Field(default=None, gt=0, le=5000)
+    diameter_mm: (
+        Annotated[float, Within(0.1, 5000.0, "no sphere or ring gauge is smaller or larger")] | None
+    ) = None
     """Calibrated diameter of the sphere or the ring."""
-    diameter_u_um: float = Field(default=0.0, ge=0, le=LARGEST_NOISE)
+    diameter_u_um: Uncertainty = 0.0
     """Its standard uncertainty."""
     ring_axis: Literal["X", "Y", "Z"] = "Z"
     """Axis of the frame of the workpiece along which the axis of the ring lies."""
     gauge: FileName | None = None
     """Table of the step gauge beside the study file: face, position_mm."""
-    face_u_um: float = Field(default=0.0, ge=0, le=LARGEST_NOISE)
+    face_u_um: Uncertainty = 0.0
     """Standard uncertainty of the position of each face."""
-    stylus_radius_mm: float = Field(ge=0, le=100)
+    stylus_radius_mm: Annotated[float, Within(0.0, 100.0, "no stylus has a ball of 200 mm")]
     """Effective radius of the stylus tip; 0 where the control has corrected the positions."""
-    stylus_u_um: float | None = Field(default=None, ge=0, le=LARGEST_NOISE)
+    stylus_u_um: Uncertainty | None = None
     """Its standard uncertainty. Without it, the radius is unknown."""
-    probe_sigma_um: float = Field(ge=SMALLEST_NOISE, le=LARGEST_NOISE)
+    probe_sigma_um: Noise
     """Repeatability of the probe, one standard deviation along the direction of approach."""
 
     @model_validator(mode="after")

@@ -5,22 +5,19 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from jaxtyping import Int
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, model_validator
 
+from ..bounds import Angle, Coordinate, Noise, PlaceSigma, Within
 from ..effects.station import STATION
 from ..errors import KeyedError, RowError
 from .base import (
-    LARGEST_NOISE,
-    SMALLEST_NOISE,
     Column,
     FileName,
     InstrumentSettings,
     Loader,
 )
 
-_Coordinate = Annotated[float, Field(ge=-200e3, le=200e3)]
-_Angle = Annotated[float, Field(ge=-360, le=360)]
-_Point = tuple[_Coordinate, _Coordinate, _Coordinate]
+_Point = tuple[Coordinate, Coordinate, Coordinate]
 Readings = Literal["polar", "cartesian", "range"]
 POLAR = ("range_mm", "azimuth_rad", "elevation_rad")
 CARTESIAN = ("meas_x_mm", "meas_y_mm", "meas_z_mm")
@@ -37,11 +34,11 @@ class StationSettings(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
     station_mm: _Point | None = None
     """Approximate place of the tracker in the workpiece frame; it is identified."""
-    euler_xyz_deg: tuple[_Angle, _Angle, _Angle] = (0.0, 0.0, 0.0)
+    euler_xyz_deg: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
     """Approximate rotation of the tracker, R = Rx Ry Rz; it is identified."""
     station_in_frame_mm: _Point | None = None
     """Place of the tracker in the frame of the coordinates, for ``coordinates = "other"``."""
-    dead_path_mm: float = Field(default=0.0, ge=-200e3, le=200e3)
+    dead_path_mm: Coordinate = 0.0
     """Approximate dead path of ranges alone; it is identified."""
 
 
@@ -52,28 +49,31 @@ class LaserTrackerSettings(InstrumentSettings):
     """Columns of the readings: "polar" (range_mm, azimuth_rad, elevation_rad), "cartesian"
     (meas_x_mm, meas_y_mm, meas_z_mm) or "range" (range_mm alone); by default "cartesian" where the
     table has meas_x_mm, else "polar"."""
-    range_sigma_um: float = Field(ge=SMALLEST_NOISE, le=LARGEST_NOISE)
+    range_sigma_um: Noise
     """Noise of the range, one standard deviation: the part that does not depend on the range."""
-    range_sigma_um_per_m: float = Field(default=0.0, ge=0, le=LARGEST_NOISE)
+    range_sigma_um_per_m: Annotated[
+        float,
+        Within(0.0, 500.0, "air is known to a few um/m; this is a hundred times that"),
+    ] = 0.0
     """The part that grows with the range."""
     range_sigma_sum: Literal["linear", "quadrature"] | None = None
     """How the two parts add up; by default "quadrature" for ranges alone, else "linear"."""
-    angle_sigma_urad: float | None = Field(default=None, ge=SMALLEST_NOISE, le=LARGEST_NOISE)
+    angle_sigma_urad: Noise | None = None
     """Noise of azimuth and elevation, one standard deviation; required unless ranges alone are
     read."""
     station_mm: _Point | None = None
     """Approximate place of the tracker in the workpiece frame; it is identified. Required for a
     plan without readings."""
-    euler_xyz_deg: tuple[_Angle, _Angle, _Angle] = (0.0, 0.0, 0.0)
+    euler_xyz_deg: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
     """Approximate rotation of the tracker, R = Rx Ry Rz; it is identified."""
     coordinates: Literal["tracker", "other"] = "tracker"
     """Frame of Cartesian readings: the tracker's own, or another one that was fitted elsewhere."""
     station_in_frame_mm: _Point | None = None
     """Place of the tracker in that other frame, from where range and angles are counted; by default
     it follows from `station_mm`."""
-    dead_path_mm: float = Field(default=0.0, ge=-200e3, le=200e3)
+    dead_path_mm: Coordinate = 0.0
     """Approximate distance at which the range is zero, for ranges alone; it is identified."""
-    dead_path_sigma_um: float | None = Field(default=None, ge=0, le=1e9)
+    dead_path_sigma_um: PlaceSigma | None = None
     """Prior standard deviation of the dead path of every station; 0 where it is known, as that of
     an absolute distance meter. By default it is free for ranges alone, and known otherwise."""
     stations: dict[str, StationSettings] | None = None
@@ -83,7 +83,7 @@ class LaserTrackerSettings(InstrumentSettings):
     reflector, as machine.tool_offset_mm."""
     tools_file: FileName | None = None
     """Table of the tool offsets in place of `tools`: columns tool, x_mm, y_mm, z_mm."""
-    tools_sigma_um: float = Field(default=0.0, ge=0, le=1e6)
+    tools_sigma_um: PlaceSigma = 0.0
     """Standard uncertainty of every coordinate of the tool offsets relative to each other."""
 
     @model_validator(mode="after")

@@ -1,10 +1,11 @@
 """``[loop]``: settings of the search for missing effects, with their bounds."""
 
 from collections.abc import Iterable
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from ..bounds import Seed, Within
 from ..effects.base import Effect
 from ..effects.registry import effect_class
 
@@ -13,17 +14,27 @@ class LoopSettings(BaseModel):
     """``[loop]``: settings of the search for missing effects."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    alpha: float = Field(default=0.01, gt=0, lt=1)
+    alpha: Annotated[
+        float, Within(0.0, 1.0, "it is a probability", open_low=True, open_high=True)
+    ] = 0.01
     """Probability that the whole loop names an effect in a clean measurement."""
-    seed: int = Field(default=0, ge=0, le=2**63 - 1)
+    seed: Seed = 0
     """Seed of all random draws."""
     effects: tuple[str, ...] | None = Field(default=None, min_length=1)
     """Identifiers of the effects to try; all of the catalogue by default."""
-    draws: int | None = Field(default=None, ge=25, le=1_000_000)
+    draws: (
+        Annotated[
+            int,
+            Within(25, 1_000_000, "fewer do not show the tail, and more resolve p to a permille"),
+        ]
+        | None
+    ) = None
     """Null draws for the p-values; by default 500, and 200 for more than 30,000 readings, where
     they take most of the time. The relative uncertainty of a p-value is then 20 % instead of 14 %.
     """
-    max_effects: int = Field(default=32, ge=0)
+    max_effects: Annotated[
+        int, Within(0, 10_000, "no catalogue has as many effects at as many places")
+    ] = 32
     """Number of effects after which the loop stops."""
     learn: bool = False
     """Whether the families' sizes are learned for the final fit, after the search."""

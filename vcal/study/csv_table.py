@@ -12,6 +12,7 @@ from ..errors import StudyError
 from ..files import naming
 from ..instruments.base import Column
 from ..registry import closest
+from ..words import printable
 from .messages import listed, refusal
 from .reading.assign import Assigned, Place, assign, cells_of, expected_cell, values_of
 from .reading.formats import DEFAULT, TableFormat
@@ -240,7 +241,9 @@ def table_of(
             known.append(one)
             continue
         if name in labels:
-            table[name] = np.array([cell.strip().removesuffix(NO_NUMBER) for cell in cells.texts])
+            table[name] = np.array(
+                [printable(c.strip().removesuffix(NO_NUMBER), lines=False) for c in cells.texts]
+            )
             known.append(one)
             continue
         column = asked.get(name) or optional(name)
@@ -386,6 +389,8 @@ def _checked(
                 f"; or, if the column is in {' or '.join(units)}, say so in its name, or with unit "
                 f'= "{units[0]}" in [data.columns]'
             )
+        elif column.why:
+            do += f": {column.why}"
         raise table.refusal(row, column.name, found, expected, do)
     return values
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..bounds import Within
 from ..distributions import CATALOGUE as DISTRIBUTIONS
 from ..distributions import Univariate, distribution
 from ..effects.base import Effect, Setup
@@ -31,6 +32,25 @@ _UNIVARIATE = tuple(name for name, kind in DISTRIBUTIONS.items() if issubclass(k
 """Distributions of one number, by name."""
 
 Catalogue = Mapping[str, type[Effect]]
+
+SHAPE_BOUNDS = {
+    "mm": Within(1e-3, 1e5, "no screw, rack or scale repeats within a micrometre or over 100 m"),
+    "um": Within(1e-2, 1e6, "no scale repeats within 10 nm or over a metre"),
+    "deg": Within(1e-3, 1e4, "no gear repeats within 4 arcsec"),
+    "mm/s": Within(1e-4, 1e4, "no guideway slides at a lower or a higher speed only"),
+    "deg/s": Within(1e-4, 1e4, "no joint turns at a lower or a higher speed only"),
+    "rad/s": Within(1e-6, 1e4, "no joint turns at a lower or a higher speed only"),
+    "s": Within(1e-3, 1e8, "no machine settles within a millisecond or over years"),
+    "min": Within(1e-5, 1e6, "no machine settles within a millisecond or over years"),
+    "h": Within(1e-5, 1e5, "no machine settles within a tenth of a second or over years"),
+}
+"""Bounds of declared pitches, speeds and time constants by their unit."""
+TIME_BOUNDS = {
+    "s": Within(-1e10, 1e10, "300 years; seconds since 1970 have ten digits"),
+    "min": Within(-1e9, 1e9, "2000 years"),
+    "h": Within(-1e7, 1e7, "1000 years"),
+}
+"""Bounds of declared points of time by their unit."""
 
 
 def catalogue_with(folder: Folder, effects_file: str | None) -> dict[str, type[Effect]]:
@@ -443,12 +463,37 @@ def _given(
             )
         if p.shape and p.coordinate != "linear" and value <= 0.0:
             raise where.refusal(key, f"{value:g}", "a number greater than 0", "correct the value")
+        _check_size(key, value, p, where)
         if part in values.setdefault(p.name, {}):
             raise where.refusal(
                 key, f"{p.name} given twice", "every parameter once", "remove one of the keys"
             )
         values[p.name][part] = value
     return tuple((n, v.get("mean", 0.0), v.get("sigma", 0.0)) for n, v in values.items())
+
+
+def _check_size(key: str, value: float, p: Parameter, where: _Where) -> None:
+    """Raise `StudyError` for a value that no machine has: an amplitude of many times the size that
+    the catalogue expects, a pitch below a micrometre.
+    """
+    within = bound_of(p)
+    if within is None or within.holds(value) or value == math.inf:
+        return
+    raise where.refusal(
+        key, f"{value:g}", within.expected(value), f"correct the value or its unit: {within.why}"
+    )
+
+
+def bound_of(p: Parameter) -> Within | None:
+    """The bound of a declared value of a parameter, in its unit; None for a parameter whose
+    expected size is not known.
+    """
+    if p.shape:
+        return SHAPE_BOUNDS.get(p.unit) if p.coordinate != "linear" else TIME_BOUNDS.get(p.unit)
+    if not p.informed or not p.sigma > 0.0:
+        return None
+    most = abs(p.mean) + p.largest * p.sigma
+    return Within(-most, most, f"{p.largest:g} times the expected size is no error of this kind")
 
 
 def _priors(
@@ -492,6 +537,8 @@ def _priors(
             raise where.refusal(
                 key, f"{shown(law)}, which cannot be used", str(error), "correct it"
             ) from error
+        for number in (prior.mean[0], prior.sigma[0]):
+            _check_size(key, float(number), names[key], where)
         if random and prior.mean[0] != 0.0:
             raise where.refusal(
                 key,

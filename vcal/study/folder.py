@@ -69,6 +69,8 @@ class Folder:
     """
     tables: dict[str, Table] = field(default_factory=dict)
     """The tables that were read, by the file name in the study."""
+    keys: dict[str, str] = field(default_factory=dict)
+    """The key of the study file that names a file, in words, by the file name in the study."""
     clock: Clock = field(default_factory=Clock)
     """The zero of all times with a date."""
     _modules: dict[str, ModuleType] = field(default_factory=dict)
@@ -87,7 +89,11 @@ class Folder:
         require_inside(self.root, name, code=code, allowed=self.outside)
         if not _is_file(path):
             raise refusal(
-                name, "file", _instead(path), expected, "add the file or correct its name"
+                name,
+                "file",
+                _instead(path),
+                expected,
+                f"add the file or correct its name{self.named_by(name)}",
             )
         size = path.stat().st_size
         if size > _LARGEST:
@@ -99,6 +105,12 @@ class Folder:
                 digest.update(part)
         self.hashes[name] = digest.hexdigest()
         return path, name
+
+    def named_by(self, name: str) -> str:
+        """``", key instrument.artefact of setup.toml"``: what names a file; empty where no key is
+        known.
+        """
+        return f", {self.keys[name]}" if name in self.keys else ""
 
     def plain(self, name: str) -> str:
         """Name of a file without a sheet: ``run.xlsx`` of ``run.xlsx#check``."""

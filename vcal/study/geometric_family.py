@@ -33,14 +33,19 @@ _WAVES = ("n1", "n2")
 _SQUARENESS = {"EC0Y": "XY", "EB0Z": "XZ", "EA0Z": "YZ"}
 """Location errors of ISO 230-1 by name: the two axes that are not square."""
 
-_LARGEST, _SMALLEST = 1e6, 1e-6
-"""Amplitudes, um or urad. A smaller number, or one of more than a metre, is in another unit."""
+_LARGEST, _SMALLEST = 5e4, 1e-6
+"""Amplitudes, um or urad."""
 _MOST_WAVES, _FEWEST_WAVES = 1000.0, 0.01
 """Half waves over the travel. Shorter ones lie between the points of any measurement; longer ones
 are straight lines."""
 
+_WHY_SIZES = "more than 5 cm or 50 mrad is no error of a machine but another geometry"
+_WHY_WAVES = "more lie between the points of any measurement"
+
 FAMILY_COLUMNS: tuple[Column, ...] = tuple(
-    Column(name=name, low=0.0, high=_MOST_WAVES if name in _WAVES else _LARGEST)
+    Column(name=name, low=0.0, high=_MOST_WAVES, why=_WHY_WAVES)
+    if name in _WAVES
+    else Column(name=name, low=0.0, high=_LARGEST, why=_WHY_SIZES)
     for name in ("a0", "a1", "n1", "b1", "c1", "n2", "b2", "c2")
 )
 """Columns of the Fourier family's table. They hold half-widths and wave numbers, none negative."""

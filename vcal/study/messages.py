@@ -7,15 +7,22 @@ from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
+from ..bounds import OUT_OF_BOUNDS
 from ..errors import StudyError
 from ..registry import closest, nearest
-from ..words import printable
+from ..words import cut, printable
 
 _QUOTED = r"'([^']*)'"
 FEW = 5
 """Most parameters that a message lists."""
 _MOST_LINES = 5
 """Mistakes of one file that are listed; further ones are counted."""
+
+MOST_CHARACTERS = 1400
+"""Most characters of a message: what fills a screen is not read."""
+_MOST_OF_A_PART, _MOST_OF_A_NAME = 500, 60
+"""Most characters of what was found, expected or is to be done; of a name in a list."""
+_MOST_OF_A_LIST = 900
 
 _EXPECTED = {
     "bool_type": "true or false",
@@ -37,10 +44,19 @@ _TABLE = ("dict_type", "model_type", "model_attributes_type")
 
 def refusal(file: str, where: str, found: str, expected: str, do: str) -> StudyError:
     """The error to raise for one mistake, in the form that all messages share: in one line, with
-    control characters of the user's texts written as escapes.
+    control characters of the user's texts written as escapes, and cut where it would be long.
     """
+    parts = (printable(part, lines=False) for part in (file, where, found, expected, do))
+    most = (200, 200, _MOST_OF_A_PART, 1000, _MOST_OF_A_PART)
+    file, where, found, expected, do = (cut(p, m) for p, m in zip(parts, most, strict=True))
     message = f"{file}, {where}: found {found}, expected {expected}; {do}"
-    return StudyError(printable(message, lines=False))
+    return StudyError(cut(message, MOST_CHARACTERS))
+
+
+def stated(file: str, where: str, what: str) -> StudyError:
+    """The same for a mistake whose words, from "found" on, are made already."""
+    message = printable(f"{cut(file, 200)}, {cut(where, 200)}: {what}", lines=False)
+    return StudyError(cut(message, MOST_CHARACTERS))
 
 
 def shown(value: Any) -> str:
@@ -56,10 +72,15 @@ def shown(value: Any) -> str:
 
 
 def listed(names: Iterable[str], most: int = 30) -> str:
-    """Names separated by commas, the first `most` of them."""
+    """Names separated by commas, the first `most` of them, as many as have room; the others are
+    counted. A long name is cut.
+    """
     names = list(names)
-    more = f", ... ({len(names) - most} more)" if len(names) > most else ""
-    return ", ".join(names[:most]) + more if names else "none"
+    said = [n if len(n) <= _MOST_OF_A_NAME else f"{n[:_MOST_OF_A_NAME]}..." for n in names[:most]]
+    while sum(map(len, said)) + 2 * len(said) > _MOST_OF_A_LIST:
+        said.pop()
+    more = f", ... ({len(names) - len(said)} more)" if len(names) > len(said) else ""
+    return ", ".join(said) + more if names else "none"
 
 
 def at(raw: Any, key: Sequence[str | int]) -> Any:
@@ -101,8 +122,11 @@ def explain(
         if e["type"] == "missing" and isinstance(loc[-1], int):
             seen.add(loc[:-1])
         lines.append(_line(e, file, raw, model, overrides))
-    if len(lines) > _MOST_LINES:
-        lines[_MOST_LINES:] = [f"... and {len(lines) - _MOST_LINES} more of the same kind"]
+    kept = lines[:_MOST_LINES]
+    while len(kept) > 1 and sum(map(len, kept)) > MOST_CHARACTERS - 100:
+        kept.pop()
+    if len(lines) > len(kept):
+        lines[len(kept) :] = [f"... and {len(lines) - len(kept)} more of the same kind"]
     return StudyError("\n".join(lines))
 
 
@@ -188,6 +212,8 @@ def _line(
         do = "add what is missing"
     elif kind == "missing":
         found, expected, do = "nothing", "this key", f"add it to {file}"
+    elif kind == OUT_OF_BOUNDS:
+        expected, do = context["expected"], f"correct the value or its unit: {context['why']}"
     elif kind == "greater_than":
         expected = f"a number greater than {context['gt']:g}"
     elif kind == "greater_than_equal":

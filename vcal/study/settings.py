@@ -8,6 +8,17 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, model_validator
 
+from ..bounds import (
+    Angle,
+    ErrorSize,
+    JointBound,
+    LinkLength,
+    Offset,
+    Position,
+    RotaryBound,
+    Seed,
+    Within,
+)
 from ..design.plan_space import DesignSettings
 from ..design.spaces import settings_of
 from ..errors import StudyError
@@ -22,17 +33,17 @@ from .plugins.trial import own_code_error
 from .reading.assign import Place
 from .reading.formats import TableFormat, plain_format
 from .statements import AcceptanceSettings, CertificateSettings, MeasurementSettings
-from .toml_file import LARGEST_WHOLE
 
-Triple = tuple[float, float, float]
-_Offset = Annotated[float, Field(ge=-1e4, le=1e4)]
-ToolOffset = tuple[_Offset, _Offset, _Offset]
-"""Tool offset, mm. A larger number than ten metres is in another unit."""
-_Length = Annotated[float, Field(ge=-1e6, le=1e6)]
-_Angle = Annotated[float, Field(ge=-720, le=720)]
-_Size = Annotated[float, Field(ge=1e-6, le=1e6)]
-"""Size of an error, um or urad. A smaller number, or one of more than a metre, is in another unit.
-"""
+ToolOffset = tuple[Offset, Offset, Offset]
+"""Tool offset, mm."""
+_Smoothness = Annotated[
+    float,
+    Within(0.02, 10.0, "shorter lies between the points, and longer is a straight line"),
+]
+_Component = Annotated[float, Within(-1e6, 1e6, "a direction has components of the size of one")]
+_Vector = tuple[_Component, _Component, _Component]
+_Coupling = Annotated[float, Within(-1e4, 1e4, "no gearing between joints is larger")]
+_Degree = Annotated[int, Within(0, 50, "no plan has the points for a higher degree")]
 _SMALLEST, _LARGEST = 1e-15, 1e15
 """Sizes of nonzero numbers whose squares and products stay finite and nonzero."""
 COMPUTABLE = f"zero, or a number from {_SMALLEST:g} to {_LARGEST:g} in size"
@@ -50,21 +61,21 @@ class JointSettings(Table):
 
     type: Literal["revolute", "prismatic"]
     """Whether the joint turns or slides."""
-    a_mm: _Length = 0.0
+    a_mm: LinkLength = 0.0
     """Length of the link: along x of the joint's own frame."""
-    alpha_deg: _Angle = 0.0
+    alpha_deg: Angle = 0.0
     """Twist of the link: about x."""
-    d_mm: _Length = 0.0
+    d_mm: LinkLength = 0.0
     """Offset along z, to which a prismatic joint adds its position."""
-    theta_deg: _Angle = 0.0
+    theta_deg: Angle = 0.0
     """Angle about z, to which a revolute joint adds its position."""
-    low_deg: float | None = None
+    low_deg: JointBound | None = None
     """Lowest angle of a revolute joint; unbounded by default."""
-    high_deg: float | None = None
+    high_deg: JointBound | None = None
     """Highest angle of a revolute joint; unbounded by default."""
-    low_mm: float | None = None
+    low_mm: JointBound | None = None
     """Lowest position of a prismatic joint; unbounded by default."""
-    high_mm: float | None = None
+    high_mm: JointBound | None = None
     """Highest position of a prismatic joint; unbounded by default."""
 
     @property
@@ -98,10 +109,10 @@ class JointSettings(Table):
 class RotarySettings(Table):
     """``[machine.rotary.C]``: position and travel of a rotary axis."""
 
-    at_mm: tuple[_Length, _Length, _Length]
+    at_mm: tuple[Position, Position, Position]
     """A point on the axis with all axes at zero, in the machine frame, in which the tool point is
     then at `tool_offset_mm`."""
-    travel_deg: tuple[_Angle, _Angle] | None = None
+    travel_deg: tuple[RotaryBound, RotaryBound] | None = None
     """Lowest and highest angle. Over a whole turn or more, the error motions are periodic."""
 
     @model_validator(mode="after")
@@ -123,7 +134,7 @@ class MachineSettings(Table):
     """
     tool_offset_mm: ToolOffset = (0.0, 0.0, 0.0)
     """Vector from the frame of the last axis to the tool point."""
-    travel_mm: dict[str, tuple[float, float]] = {}
+    travel_mm: dict[str, tuple[Position, Position]] = {}
     """Lowest and highest position per linear axis."""
     rotary: dict[Literal["A", "B", "C"], RotarySettings] = {}
     """Position and travel of every rotary axis of the chain."""
@@ -141,11 +152,11 @@ class MachineSettings(Table):
     convention: Literal["standard", "modified"] = "standard"
     """Denavit-Hartenberg convention of the joint rows: Rz(theta) Tz(d) Tx(a) Rx(alpha), or modified
     (Craig), Rx(alpha) Tx(a) Rz(theta) Tz(d)."""
-    coupling: tuple[tuple[float, ...], ...] | None = None
+    coupling: tuple[tuple[_Coupling, ...], ...] | None = None
     """Matrix from the commanded positions of all joints, in the units of their columns, to the
     joint variables of the rows: one row per joint. For an arm that counts joint 3 from the
     horizontal, the third row is [0, -1, 1, 0, 0, 0]. The identity by default."""
-    up: Literal["+X", "-X", "+Y", "-Y", "+Z", "-Z"] | Triple = "+Z"
+    up: Literal["+X", "-X", "+Y", "-Y", "+Z", "-Z"] | _Vector = "+Z"
     """The direction against gravity in the frame of the bed or of the arm's base: an axis ("+Y" for
     a horizontal spindle, "-Z" for an arm that hangs from the ceiling), or a vector of any length,
     such as [0.5, 0, 0.87] for a base on a slope."""
@@ -221,16 +232,16 @@ class SmoothSettings(Table):
 
     family: Literal["smooth"]
     """Smooth functions over the travel (Matern-5/2)."""
-    translation_um: _Size
+    translation_um: ErrorSize
     """Prior standard deviation of each error translation."""
-    rotation_urad: _Size
+    rotation_urad: ErrorSize
     """Prior standard deviation of each error rotation."""
-    squareness_urad: _Size
+    squareness_urad: ErrorSize
     """Prior standard deviation of each squareness error, those of rotary axes included."""
-    location_um: _Size | None = None
+    location_um: ErrorSize | None = None
     """Prior standard deviation of each position error of a rotary axis; `translation_um` by
     default."""
-    smoothness: float = Field(default=0.5, ge=0.02, le=10)
+    smoothness: _Smoothness = 0.5
     """Correlation length of an error motion over the travel. Guideways typically bend over about
     half their length."""
 
@@ -246,9 +257,9 @@ class OneLinkSettings(Table):
     """The errors that are meant: translations X, Y, Z and rotations A, B, C, such as "ZC"."""
     fixed: bool = False
     """Whether these errors are known to be zero, and not identified."""
-    translation_um: _Size | None = None
+    translation_um: ErrorSize | None = None
     """Prior standard deviation of the error translations; that of the other links by default."""
-    rotation_urad: _Size | None = None
+    rotation_urad: ErrorSize | None = None
     """Prior standard deviation of the error rotations; that of the other links by default."""
     bounded: bool = False
     """Whether these sizes are half-widths of uniform distributions instead. An identification uses
@@ -281,16 +292,16 @@ class LinkSettings(Table):
 
     family: Literal["smooth"] = "smooth"
     """May be left out: an arm has this one only."""
-    link_translation_um: _Size
+    link_translation_um: ErrorSize
     """Prior standard deviation of each of the three error translations of a link."""
-    link_rotation_urad: _Size
+    link_rotation_urad: ErrorSize
     """Prior standard deviation of each of the three error rotations of a link."""
-    slide_translation_um: _Size | None = None
+    slide_translation_um: ErrorSize | None = None
     """Prior standard deviation of the three error translations of a prismatic joint that vary along
     its travel (positioning and straightness); `link_translation_um` by default."""
-    slide_rotation_urad: _Size | None = None
+    slide_rotation_urad: ErrorSize | None = None
     """The same for its three error rotations; `link_rotation_urad` by default."""
-    slide_smoothness: float = Field(default=0.5, ge=0.02, le=10)
+    slide_smoothness: _Smoothness = 0.5
     """Correlation length of these error motions over the travel, as in a machine tool's family."""
     link: tuple[OneLinkSettings, ...] = ()
     """Errors of single joints that are fixed, bounded, of another size, or shared."""
@@ -348,7 +359,7 @@ class DataSettings(TableFormat):
     """The same under its older name."""
     check: FileName | None = None
     """Table of independent check points; by default ``check.csv`` where that exists."""
-    must_see: dict[str, int] = {}
+    must_see: dict[str, _Degree] = {}
     """Errors that the data have to identify without any prior: the name of an error motion with its
     highest Legendre degree (``EYX = 4``; a straightness counts from the second degree, as its slope
     is a squareness), or a squareness with 0 (``EC0Y = 0``).
@@ -386,9 +397,11 @@ class DataSetSettings(TableFormat):
     tool: str | None = None
     """Name of the tool, where data sets of reflectors have the same one: the places of its
     reflectors are then the same unknowns in all data sets with that name."""
-    start_s: float = 0.0
+    start_s: Annotated[
+        float, Within(-1e10, 1e10, "no measurements of one machine are 300 years apart")
+    ] = 0.0
     """Time of its ``t_s = 0`` on the common clock of the study."""
-    must_see: dict[str, int] = {}
+    must_see: dict[str, _Degree] = {}
     """Errors that this data set alone has to identify, as in ``[data]``."""
 
 
@@ -405,11 +418,15 @@ class HoldoutSettings(Table):
     reading is kept out of the final fit, and blocks in time are predicted in turn. Where the
     instrument keeps its held-out readings out of every fit, as on an arm, so do ``"last"`` and
     ``"random"``."""
-    share: float = Field(default=0.2, ge=0.01, le=0.5)
+    share: Annotated[
+        float, Within(0.01, 0.5, "fewer test nothing, and more leave too few for the fit")
+    ] = 0.2
     """Share of the rows with ``"last"`` and ``"random"``."""
-    seed: int = Field(default=0, ge=0, le=LARGEST_WHOLE)
+    seed: Seed = 0
     """Seed of the random choice."""
-    blocks: int = Field(default=5, ge=2, le=1000)
+    blocks: Annotated[
+        int, Within(2, 1000, "one block predicts nothing, and more hold a row each")
+    ] = 5
     """Number of blocks, of equally many rows in time."""
     column: str | None = None
     """Name of a column of the data with ``"column"``. Numbers closer than a hundredth of its range

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from ..bounds import Seed, Within
 from ..errors import StudyError
 from .messages import explain
 
@@ -30,18 +31,24 @@ class AcceptanceSettings(Statement):
     alignment, before and after compensation.
     """
 
-    volumetric_um: float = Field(gt=0, le=1e6)
+    volumetric_um: Annotated[
+        float, Within(1e-3, 1e5, "no tolerance of a machine is below a nanometre or above 100 mm")
+    ]
     """Largest permissible volumetric error."""
-    risk_percent: float = Field(default=5.0, ge=0.1, le=50)
+    risk_percent: Annotated[
+        float, Within(0.1, 50.0, "less cannot be counted, and more is a coin")
+    ] = 5.0
     """Largest probability of a wrong decision with the rule "guarded"."""
     rule: Literal["guarded", "simple"] = "guarded"
     """``"guarded"``: the machine conforms, or does not conform, where the probability of the
     opposite is at most `risk_percent`; otherwise it cannot be decided (JCGM 106, 8.3).
     ``"simple"``: the estimate is compared with the tolerance; the risk is shared (JCGM 106, 8.2).
     """
-    draws: int = Field(default=2000, ge=100, le=20_000)
+    draws: Annotated[
+        int, Within(100, 20_000, "fewer do not decide, and more do not fit into memory")
+    ] = 2000
     """Machines drawn from the identified distribution, from which the probability is counted."""
-    seed: int = Field(default=0, ge=0, le=2**63 - 1)
+    seed: Seed = 0
     """Seed of the draws."""
 
     @model_validator(mode="after")

@@ -32,7 +32,7 @@ from .declared_effects import catalogue_with, declared_effects, unknown_effect
 from .folder import Folder
 from .geometric_family import geometric_errors
 from .hold_out import held_out
-from .messages import FEW, listed, refusal, source
+from .messages import FEW, listed, refusal, source, stated
 from .must_see import check_identifiable
 from .plugins.effects import check_own
 from .plugins.instrument_trial import check_instrument
@@ -60,8 +60,12 @@ from .tables import check_points, run_table
 from .toml_file import read_setup
 from .urdf import chain_from_urdf
 
-_SHORTEST_MM, _FARTHEST_MM = 0.1, 1e6
-"""Least travel and farthest position; a smaller or larger number is in another unit."""
+_SHORTEST_MM = 0.1
+"""Least travel; a smaller number is in another unit."""
+_MOST_TOOL, _LEAST_LONG_TOOL_MM = 2.0, 1000.0
+"""Largest size of a tool offset as a multiple of the size of the machine: the diagonal of its
+travel, or the length of all links of an arm. A tool of less than a metre may be on any machine.
+"""
 _LEAST_TOOL = 1e-3
 """Least share of the shortest travel; a tool offset that is smaller but not zero is in another
 unit.
@@ -233,7 +237,10 @@ def load_study(
     require_inside(folder.root, file, allowed=allow_outside)
     raw, given = read_setup(path, overrides)
     folder.path(file)
+    folder.keys.update(_naming(raw, file))
     settings = validate(raw, file, given, folder)
+    for name, key in _naming(settings.model_dump(by_alias=True), file, " by default").items():
+        folder.keys.setdefault(name, key)
     folder.formats.update(table_formats(settings, file))
     catalogue = catalogue_with(folder, settings.model.effects_file)
     _check_wanted(settings.loop.effects or (), catalogue, file, given)
@@ -305,6 +312,24 @@ def load_study(
     )
 
 
+def _naming(tree: Any, file: str, how: str = "") -> dict[str, str]:
+    """The key of every text in the tree of a study file, in words, by the text; and by the text
+    without a sheet (``run.xlsx#check``). The first key of a text counts.
+    """
+    found: dict[str, str] = {}
+    stack = [("", tree)]
+    while stack:
+        key, value = stack.pop()
+        if isinstance(value, str):
+            for name in (value, value.rpartition("#")[0]):
+                found[name] = f"key {key} of {file}{how}"
+        elif isinstance(value, Mapping | list | tuple):
+            items = value.items() if isinstance(value, Mapping) else enumerate(value)
+            stack += [(f"{key}.{part}" if key else str(part), inner) for part, inner in items]
+    found.pop("", None)
+    return found
+
+
 def looked_for(kind: type[Effect]) -> bool:
     """Whether the loop may name an effect; others can only be declared."""
     return kind.kind == "systematic" and kind.candidates.__func__ is not Effect.candidates.__func__
@@ -367,9 +392,11 @@ def build_chain(machine: MachineSettings, file: str, folder: Folder) -> Chain:
             )
         try:
             coupling = _coupling_si(machine, [joint.type == "revolute" for joint in machine.joint])
-            return chain_from_dh(rows, offset, machine.up, machine.convention, coupling)
+            arm = chain_from_dh(rows, offset, machine.up, machine.convention, coupling)
         except ValueError as error:
             raise _wrong_coupling(error, file) from error
+        _check_offset(machine.tool_offset_mm, arm, file, "machine.tool_offset_mm")
+        return arm
     travel = {axis: (low * 1e-3, high * 1e-3) for axis, (low, high) in machine.travel_mm.items()}
     rotary = {}
     for axis, row in machine.rotary.items():
@@ -410,12 +437,12 @@ def build_chain(machine: MachineSettings, file: str, folder: Folder) -> Chain:
                 "[lowest, highest] with the lowest below the highest",
                 "exchange or correct them",
             )
-        if max(-low, high) > _FARTHEST_MM or high - low < _SHORTEST_MM:
+        if high - low < _SHORTEST_MM:
             raise refusal(
                 file,
                 f"key machine.travel_mm.{axis}",
                 f"[{low:g}, {high:g}]",
-                f"at least {_SHORTEST_MM:g} mm of travel, within {_FARTHEST_MM:g} mm",
+                f"at least {_SHORTEST_MM:g} mm of travel",
                 "correct the unit",
             )
     _check_offset(machine.tool_offset_mm, chain, file, "machine.tool_offset_mm")
@@ -483,6 +510,16 @@ def _check_offset(offset: Sequence[float], chain: Chain, file: str, key: str) ->
     Its levers are then a thousandth of the true ones, and no reading need contradict it.
     """
     travels = [np.ptp(j.travel) * 1e3 for j in chain.joints if not j.turns]
+    large, size = largest_tool(chain), float(np.linalg.norm(offset))
+    if size > large:
+        raise refusal(
+            file,
+            f"key {key}",
+            f"{[*offset]}, {size:.4g} mm in all",
+            f"at most {large:.4g} mm, {_MOST_TOOL:g} times the size of the machine",
+            "correct the offset or its unit, or the travel or the links of the machine: a tool is "
+            "not larger than the machine that carries it",
+        )
     reach = min((travel for travel in travels if math.isfinite(travel)), default=0.0)
     if chain.arm or not 0.0 < np.abs(offset).max() < _LEAST_TOOL * reach:
         return
@@ -493,6 +530,19 @@ def _check_offset(offset: Sequence[float], chain: Chain, file: str, key: str) ->
         "millimetres from the frame of the last axis to the tool point",
         "correct the unit, or write [0, 0, 0] if the tool point is the origin of that frame",
     )
+
+
+def largest_tool(chain: Chain) -> float:
+    """The largest plausible tool offset, mm; infinite where the size of the machine is unknown."""
+    if chain.arm:
+        links = [part[:3, 3] for joint in chain.joints for part in (joint.before, joint.after)]
+        parts = [np.linalg.norm(link) for link in links]
+        parts += [np.ptp(joint.travel) for joint in chain.joints if not joint.turns]
+        size = 1e3 * float(np.sum(parts))
+    else:
+        parts = [np.ptp(joint.travel) for joint in chain.joints if not joint.turns]
+        size = 1e3 * float(np.linalg.norm(parts))
+    return max(_MOST_TOOL * size, _LEAST_LONG_TOOL_MM) if math.isfinite(size) else math.inf
 
 
 def _check_rotary(machine: MachineSettings, file: str) -> None:
@@ -644,7 +694,7 @@ def _data_set(
             )
     except KeyedError as error:
         own = key if error.key.startswith("instrument.") else ""
-        raise StudyError(f"{file}, key {own}{error.key}: {error.what}") from error
+        raise stated(file, f"key {own}{error.key}", error.what) from error
     return DataSet(
         name, table_name, settings, instrument, chain, plan, readings, table, declared=declared
     )
@@ -659,7 +709,7 @@ def _naming_rows(settings: InstrumentSettings, folder: Folder, table: Table) -> 
         check_row(settings, instrument_class(settings, folder), error.row, table.rows)
         place = f", {error.place}" if error.place else ""
         where = f"{table.where(error.row)}{place}"
-        raise StudyError(f"{table.name}, {where}: {error.what}") from error
+        raise stated(table.name, where, error.what) from error
 
 
 def _instrument(

@@ -130,8 +130,9 @@ _AXIS = re.compile(r"_[xyz](?=_)")
 
 
 def check_alive(table: Table, columns: Collection[str], kind: str) -> None:
-    """Raise `StudyError` for a column of readings that is the same in every row: a channel that is
-    not connected, or a value that was filled in. A fit would take it for an exact measurement.
+    """Raise `StudyError` for a column of readings that is the same in every row, or alternates
+    between two values: a channel that is not connected, or a value that was filled in. A fit would
+    take it for an exact measurement.
 
     Accepted are fewer than `_FEWEST` rows, `columns` that are all constant (see `check_scatter`),
     and a target of which every coordinate is constant, as it may have been measured once (the
@@ -144,6 +145,16 @@ def check_alive(table: Table, columns: Collection[str], kind: str) -> None:
     still = {name: bool(np.ptp(table[name]) == 0.0) for of in targets.values() for name in of}
     once = [of for of in targets.values() if len(of) > 1 and all(still[name] for name in of)]
     dead = [name for name in table if still.get(name) and not any(name in of for of in once)]
+    switching = [name for name in still if not still[name] and alternates(table[name])]
+    if switching:
+        low, high = sorted(table[switching[0]][:2])
+        raise refusal(
+            table.name,
+            f"{plural(len(switching), 'column')} {listed(switching)}",
+            f"a channel that alternates between {low:.10g} and {high:.10g} from row to row",
+            f"readings of a {kind}, which differ by their noise and with the position",
+            "export the readings again: a cable or a converter is the likely cause",
+        )
     if not dead or all(still.values()):
         return
     raise refusal(
@@ -153,6 +164,13 @@ def check_alive(table: Table, columns: Collection[str], kind: str) -> None:
         f"readings of a {kind}, which differ at least by their noise",
         "export the readings again, or measure with an instrument that has only the other channels",
     )
+
+
+def alternates(values: np.ndarray) -> bool:
+    """Whether numbers (n,) take two values in strict turn, over ten rows at least."""
+    if len(values) < _FEWEST or values[0] == values[1]:
+        return False
+    return bool((values[2:] == values[:-2]).all())
 
 
 def check_scatter(

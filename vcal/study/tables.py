@@ -26,10 +26,12 @@ from ..words import counted, plural
 from .csv_table import Table
 from .folder import Folder
 from .messages import listed, refusal
+from .optional_columns import condition
 from .plugins.instruments import columns_of, instrument_class
 from .table_checks import check_repeated, check_unread
 
 _FEWEST_ROWS = 3
+_FAR = "no machine is a kilometre long"
 _TOOL_POINT = tuple(f"tcp_{c}_mm" for c in "xyz")
 _MOST_OFF = 0.02
 """Share of the size of the work space; a larger deviation is no error of a machine."""
@@ -46,11 +48,6 @@ _LEAST_SHARE = 0.002
 """Least share of the travel that a measurement covers."""
 _LEAST_WIDTH = 1e-3
 """Least width of the check points as a share of their length."""
-_QUANTITY = re.compile(
-    r"payload_kg|speed_rpm|approach_rad|T_gradient_\w+|v_\w+_m_s|a_\w+_m_s2|since_\w+_mm|"
-    r"v_[a-c]_rad_s|a_[a-c]_rad_s2|since_[a-c]_deg"
-)
-"""Optional columns of conditions for effects; they hold numbers."""
 _JOINT_COLUMN = re.compile(r"q(\d+)_(cmd|read)_(deg|mm)")
 _MOVES = re.compile(r"(dir|move)_(q|J)\d+(_deg|_mm)?")
 """Covariates that are computed from the commanded angles of an arm."""
@@ -74,7 +71,7 @@ def run_table(
     plain, full = columns_of(settings, kind, chain.axes)
     places = [] if kind.positioned else _positions(chain, plain)
     labels = kind.label_columns(settings, folder.written(name))
-    header = folder.header(name, [*places, *full], _condition, labels)
+    header = folder.header(name, [*places, *full], condition, labels)
     reading_names = {c.name for c in full} - {c.name for c in plain}
     measured = not reading_names or any(column in reading_names for column in header)
     _check_machine(kind, chain, file, f"{key}instrument.kind")
@@ -83,7 +80,7 @@ def run_table(
         columns = [c for c in columns if c.name in header or c.name not in reading_names]
     if not measured:
         known = {*labels, *(c.name for c in columns)}
-        further = [c for c in header if c not in known and not _condition(c)]
+        further = [c for c in header if c not in known and not condition(c)]
         check_unread(name, kind.kind, further, reading_names, kind.read_otherwise)
     # An instrument without columns of its own reads the positions.
     linear = {file_column(axis, chain.axes)[0] for axis in chain.axes if axis in MAIN}
@@ -91,7 +88,7 @@ def run_table(
     table = folder.table(
         name,
         columns,
-        _condition,
+        condition,
         labels=labels,
         readings=read if measured else (),
         read_by=kind.read_by,
@@ -134,8 +131,8 @@ def check_points(
     own = instrument.columns(settings, chain.axes, readings=False)
     tool = _is_tool(chain)
     columns = _positions(chain, own) if tool else list(own)
-    columns += [Column(name=name, low=-1e6, high=1e6) for name in _TOOL_POINT]
-    table = folder.table(name, columns, _condition)
+    columns += [Column(name=name, low=-1e6, high=1e6, why=_FAR) for name in _TOOL_POINT]
+    table = folder.table(name, columns, condition)
     points = np.column_stack([table[name] for name in _TOOL_POINT]) * 1e-3
     arms = points - points.mean(0)
     _, width, length = np.linalg.eigvalsh(arms.T @ arms)
@@ -171,7 +168,7 @@ def _positions(chain: Chain, own: Sequence[Column]) -> list[Column]:
     """Position columns of the machine that are not among the instrument's own columns."""
     names = {column.name for column in own}
     places = [file_column(axis, chain.axes)[0] for axis in chain.axes] if _is_tool(chain) else []
-    return [Column(name=name, low=-1e6, high=1e6) for name in places if name not in names]
+    return [Column(name=name, low=-1e6, high=1e6, why=_FAR) for name in places if name not in names]
 
 
 def _check_machine(kind: type[TableInstrument], chain: Chain, file: str, key: str) -> None:
@@ -197,20 +194,6 @@ def _check_machine(kind: type[TableInstrument], chain: Chain, file: str, key: st
             f"{expected} for this instrument",
             "change the instrument or the machine",
         )
-
-
-def _condition(name: str) -> Column | None:
-    """The declaration of an optional column; None for a column without one."""
-    if name.startswith("T_") and name.endswith("_degC"):
-        return Column(name=name, low=-50.0, high=150.0, sparse=True)
-    if name in GROUPS:
-        return Column(name=name, low=0, integer=True)
-    if name == "t_s" or name.startswith("dir_") or _QUANTITY.fullmatch(name):
-        return Column(name=name)
-    if match := _JOINT_COLUMN.fullmatch(name):
-        most = 720.0 if match[3] == "deg" else 1e5
-        return Column(name=name, low=-most, high=most)
-    return None
 
 
 def _check_spelling(table: Table, asked: Sequence[str]) -> None:

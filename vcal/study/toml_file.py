@@ -6,10 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import StudyError
+from ..words import cut
 from .messages import refusal, shown
 
 LARGEST_WHOLE = 2**63 - 1
 """Largest whole number of a study file, in size."""
+_LARGEST_FILE = 16 * 2**20
+"""Largest size of a study file in bytes; the tables have files of their own."""
 _MOST_LEVELS = 16
 """Largest depth of a key; no key of a study file has half as many."""
 
@@ -32,6 +35,14 @@ def read_setup(
             "a study file in TOML",
             "correct the path",
         )
+    if (size := path.stat().st_size) > _LARGEST_FILE:
+        raise refusal(
+            path.name,
+            "file",
+            f"{size / 2**20:.0f} MB",
+            f"a study file of at most {_LARGEST_FILE / 2**20:.0f} MB",
+            "correct the path, or move tables into files of their own",
+        )
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except UnicodeDecodeError as error:
@@ -52,7 +63,7 @@ def read_setup(
     given: dict[str, str] = {}
     for key, value in _pairs(overrides):
         said = value if isinstance(value, str) else shown(value)
-        if _toml_value(key, given.get(key, said)) != _toml_value(key, said):
+        if given.get(key, said) != said and _toml_value(key, given[key]) != _toml_value(key, said):
             raise refusal(
                 f"{path.name} (override {key}={said})",
                 f"key {key}",
@@ -113,7 +124,7 @@ def _pairs(overrides: Mapping[str, Any] | Sequence[str]) -> Iterator[tuple[str, 
         key, equals, value = text.partition("=")
         if not equals or not key.strip():
             raise StudyError(
-                f"override {text!r}: found no key and value, expected key=value such as "
+                f"override {cut(text, 80)!r}: found no key and value, expected key=value such as "
                 "instrument.joints=read; add the missing part"
             )
         yield key.strip(), value.strip()
@@ -160,7 +171,8 @@ def _put(raw: dict[str, Any], key: str, value: Any, text: str) -> None:
 
 
 def _row(table: list[Any], part: str, key: str, text: str) -> Any:
-    if not part.isdigit() or int(part) >= len(table):
+    # isdigit alone is true of digits that int does not read, such as a superscript.
+    if not (part.isascii() and part.isdigit()) or len(part) > 9 or int(part) >= len(table):
         raise refusal(
             f"override {key}={text}",
             f"key {key}",

@@ -35,6 +35,9 @@ _PART = re.compile(r"(values|counts)-\d+-\d+\.part")
 _COUNTS = ".counts"
 """End of the names of arrays of counts, which only grow."""
 _WIDTHS = (np.uint8, np.uint16, np.uint32)
+UNWRITTEN = (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError,
+             RecursionError, MemoryError)  # fmt: skip
+"""What reading a file raises that vcal did not write, although its checksums are right."""
 _REMEDY = "delete the folder to start again, or choose another"
 
 
@@ -80,7 +83,7 @@ class Checkpoint:
             ) from None
         path = self.folder / STATE
         try:
-            held = self._load(path) if path.is_file() else None
+            held = self._whole(path) if path.is_file() else None
         except BaseException:
             self.release()
             raise
@@ -158,13 +161,24 @@ class Checkpoint:
                 with contextlib.suppress(OSError):
                     other.unlink()
 
+    def _whole(self, path: Path) -> Held:
+        """The state in a file. A checksum can be made anew for any contents, so that contents which
+        vcal does not write are refused wherever they are seen to be such.
+        """
+        try:
+            return self._load(path)
+        except StudyError:
+            raise
+        except UNWRITTEN as error:
+            raise unwritten(path, error) from error
+
     def _load(self, path: Path) -> Held:
         header, arrays = _read(path, self.fingerprint)
         kept, counted = [], {}
         for part in header["parts"]:
-            at = self.folder / part["file"]
             if not _PART.fullmatch(part["file"]):
-                raise _refusal(path, "the name of a file that is no part", "parts of the campaign")
+                raise ValueError(f"a part named {part['file']!r}")
+            at = self.folder / part["file"]
             if not at.is_file():
                 raise StudyError(
                     f"{at}: found no such file, expected a part that {STATE} names; {_REMEDY}"
@@ -292,6 +306,11 @@ def _check_fingerprint(path: Path, found: Mapping[str, Any], expected: Mapping[s
                 f"{path}: belongs to another campaign: found {name} = {found.get(name)!r}, "
                 f"expected {expected.get(name)!r}; {_REMEDY}"
             )
+
+
+def unwritten(path: Path, error: Exception) -> StudyError:
+    """The error for a file with the right checksums whose contents vcal does not write."""
+    return _refusal(path, f"what vcal does not write ({error})", "the state of a campaign")
 
 
 def _refusal(path: Path, found: str, expected: str) -> StudyError:

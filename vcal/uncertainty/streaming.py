@@ -24,7 +24,7 @@ from threadpoolctl import threadpool_limits
 from ..errors import StudyError
 from ..numerics.arrays import Array
 from .adaptive import step_size
-from .checkpoint import STATE, Checkpoint
+from .checkpoint import STATE, UNWRITTEN, Checkpoint, unwritten
 from .ensemble import Ensemble, ensemble_of
 from .intervals import Kind, check_coverage
 from .outputs import Field, Output, check_declared
@@ -235,7 +235,10 @@ def _resume(summary: Summary, checkpoint: Checkpoint, total: int) -> None:
     held = checkpoint.load()
     if held is None:
         return
-    summary.restore(held.arrays, held.kept)
+    try:
+        summary.restore(held.arrays, held.kept)
+    except UNWRITTEN as error:
+        raise unwritten(checkpoint.folder / STATE, error) from error
     if summary.draws > total:
         raise StudyError(
             f"{checkpoint.folder / STATE}: found {summary.draws} draws, expected at most the "

@@ -94,7 +94,21 @@ class Summary:
         return found
 
     def restore(self, arrays: Mapping[str, np.ndarray], kept: Sequence[np.ndarray]) -> None:
-        """Restore the state from `arrays` and the kept values."""
+        """Restore the state from `arrays` and the kept values.
+
+        Raises `ValueError` for arrays that are not those of this state.
+        """
+        for name, own in self.arrays().items():
+            found = arrays.get(name)
+            varies = name.endswith(".pilot")  # the number of its rows is that of the first draws
+            if (
+                found is None
+                or found.dtype != own.dtype
+                or not (varies or found.shape == own.shape)
+            ):
+                raise ValueError(f"no {name} of shape {own.shape}")
+        if not 0 <= int(arrays["draws"]) <= 2**32:
+            raise ValueError(f"{int(arrays['draws'])} draws")
         self.draws = int(arrays["draws"])
         self.kept = list(kept)
         self.moments = restored_moments(_part(arrays, "moments"))

@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from pydantic import Field
 
+from ...bounds import ArtefactLength, Seconds, Within
 from ...instruments.ball_array import BallArray
 from ...machine.chain import Chain
 from ...machine.plan import Plan
@@ -38,7 +38,7 @@ _EXACT_M = 1e-9
 _DIGITS_MM = 1e-6
 """Rounding error of a table with ten digits."""
 
-_Limit = Annotated[float, Field(ge=0)]
+_Limit = Annotated[float, Within(0.0, 2e4, "no artefact is 20 m wide")]
 
 
 class BallArrayDesign(DesignSettings):
@@ -51,11 +51,11 @@ class BallArrayDesign(DesignSettings):
     present balls."""
     along: bool = False
     """Whether the positions of the balls along the artefact vary, at a fixed length."""
-    spacing_mm: float = Field(default=50.0, gt=0)
+    spacing_mm: ArtefactLength = 50.0
     """Least distance of neighbouring balls along the artefact, where they vary."""
-    seconds_per_pose: float = Field(default=300.0, ge=0)
+    seconds_per_pose: Seconds = 300.0
     """Time to set the artefact up in a pose."""
-    seconds_per_ball: float = Field(default=20.0, ge=0)
+    seconds_per_ball: Seconds = 20.0
     """Time to measure a ball."""
 
 

@@ -9,8 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
+from ...bounds import Angle, Coordinate, Seconds, Within
 from ...effects.base import Effect
 from ...instruments.bar_motion import FEED, MM_MIN, motion
 from ...instruments.double_ball_bar import (
@@ -47,8 +48,10 @@ _SAME_MM = 1e-3
 _EXCESS_M = 1e-3
 """Excess over the travel that doubles the criterion."""
 
-_Length = Annotated[float, Field(gt=0, le=5000)]
-_Arc = tuple[float, float]
+_Length = Annotated[
+    float, Within(1.0, 5000.0, "no ball bar is shorter than 1 mm or longer than 5 m")
+]
+_Arc = tuple[Angle, Angle]
 
 
 class DoubleBallBarDesign(DesignSettings):
@@ -57,9 +60,9 @@ class DoubleBallBarDesign(DesignSettings):
     centres: bool = True
     """Whether the ball on the table may be anywhere from where the travel leaves room for the
     circles."""
-    centre_low_mm: tuple[float, float, float] | None = None
+    centre_low_mm: tuple[Coordinate, Coordinate, Coordinate] | None = None
     """Lowest coordinates of the ball in the workpiece frame, such as the height of the table."""
-    centre_high_mm: tuple[float, float, float] | None = None
+    centre_high_mm: tuple[Coordinate, Coordinate, Coordinate] | None = None
     """Highest coordinates of the ball in the workpiece frame."""
     planes: tuple[Plane, ...] = ()
     """Planes of which every run has one; by default it keeps its own."""
@@ -70,13 +73,15 @@ class DoubleBallBarDesign(DesignSettings):
     arcs_deg: dict[Plane, _Arc] = {}
     """Ends of the largest arc in every plane, from its first axis towards the second: XY 0 to 360,
     YZ -20 to 200, ZX -110 to 110 by default, which is above a table."""
-    shortest_arc_deg: float = Field(default=180.0, ge=30, le=360)
+    shortest_arc_deg: Annotated[
+        float, Within(30.0, 360.0, "a shorter arc has no centre, and a longer one is a circle")
+    ] = 180.0
     """Least length of an arc."""
     senses: bool = False
     """Whether every run may have either sense."""
-    seconds_per_setup: float = Field(default=600.0, ge=0)
+    seconds_per_setup: Seconds = 600.0
     """Time to set up the ball on the table, or another bar."""
-    seconds_per_run: float = Field(default=60.0, ge=0)
+    seconds_per_run: Seconds = 60.0
     """Time of a run."""
 
     @model_validator(mode="after")

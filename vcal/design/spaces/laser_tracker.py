@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import model_validator
 
+from ...bounds import Coordinate
 from ...instruments.laser_tracker import LaserTracker
 from ...machine.chain import Chain
 from ...model.forward import tool_points
@@ -26,9 +27,9 @@ class TrackerDesign(PointsDesign):
 
     station: bool = False
     """Whether the station may move within the bounds below."""
-    station_low_mm: tuple[float, float, float] | None = None
+    station_low_mm: tuple[Coordinate, Coordinate, Coordinate] | None = None
     """Lowest coordinates of the station in the workpiece frame."""
-    station_high_mm: tuple[float, float, float] | None = None
+    station_high_mm: tuple[Coordinate, Coordinate, Coordinate] | None = None
     """Highest coordinates of the station in the workpiece frame."""
 
     @model_validator(mode="after")

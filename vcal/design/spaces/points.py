@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from pydantic import Field
 
+from ...bounds import Seconds
 from ...identification.posterior import whitened
 from ...instruments.base import TableInstrument
 from ...machine.chain import Chain
@@ -29,7 +29,7 @@ class PointsDesign(DesignSettings):
 
     points: bool = True
     """Whether the points may be anywhere within the travel."""
-    seconds_per_point: float = Field(default=10.0, ge=0)
+    seconds_per_point: Seconds = 10.0
     """Time to measure a point."""
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import model_validator
 
+from ...bounds import Coordinate
 from ...instruments.follow import carried_apart, followed
 from ...instruments.static_r_test import StaticRTest
 from ...machine.chain import Chain
@@ -32,9 +33,9 @@ class StaticRTestDesign(PointsDesign):
     """Whether the position of the sphere, or of the probes on the table, varies in every run,
     within the bounds below.
     """
-    place_low_mm: tuple[float, float, float] | None = None
+    place_low_mm: tuple[Coordinate, Coordinate, Coordinate] | None = None
     """Lowest coordinates of the position in the workpiece frame."""
-    place_high_mm: tuple[float, float, float] | None = None
+    place_high_mm: tuple[Coordinate, Coordinate, Coordinate] | None = None
     """Highest coordinates of the position in the workpiece frame."""
 
     @model_validator(mode="after")

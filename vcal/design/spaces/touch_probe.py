@@ -3,14 +3,15 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Self
+from typing import Annotated, Any, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
+from ...bounds import Coordinate, Seconds, Within
 from ...instruments.conditions import ROTARY
 from ...instruments.follow import carried_apart, followed
 from ...instruments.touch_probe import ArtefactPlace, TouchProbe
@@ -44,23 +45,26 @@ class TouchProbeDesign(DesignSettings):
 
     contacts: bool = True
     """Whether the contacts may be anywhere on the upper part of a sphere, or around a ring."""
-    lowest_deg: float = Field(default=0.0, ge=-60, lt=90)
+    lowest_deg: Annotated[
+        float,
+        Within(-60.0, 90.0, "the stem is in the way below, and the pole is above", open_high=True),
+    ] = 0.0
     """Lowest contact on a sphere, as an angle above its equator as seen along the stylus."""
     angles: bool = True
     """Whether the rotary axes may stand elsewhere within their travel, in every setting."""
     places: bool = False
     """Whether the artefact may stand elsewhere in every set-up, within the bounds below."""
-    place_low_mm: tuple[float, float, float] | None = None
+    place_low_mm: tuple[Coordinate, Coordinate, Coordinate] | None = None
     """Lowest coordinates of its position in the workpiece frame: the centre of a sphere or a ring,
     the middle of the contacts of a step gauge. Without rotary axes, those of the tool point by
     default."""
-    place_high_mm: tuple[float, float, float] | None = None
+    place_high_mm: tuple[Coordinate, Coordinate, Coordinate] | None = None
     """Highest coordinates of its position in the workpiece frame."""
     directions: bool = False
     """Whether a step gauge may point elsewhere in every set-up."""
-    seconds_per_setup: float = Field(default=600.0, ge=0)
+    seconds_per_setup: Seconds = 600.0
     """Time to clamp the artefact."""
-    seconds_per_contact: float = Field(default=5.0, ge=0)
+    seconds_per_contact: Seconds = 5.0
     """Time of a contact."""
 
     @model_validator(mode="after")

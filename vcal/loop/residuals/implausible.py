@@ -22,6 +22,10 @@ _LEAST_NOISE_UM = 0.01
 _UNITS_OF_TIME = (("ms", 1e-3), ("min", 60.0), ("h", 3600.0), ("days", 86400.0))
 _MOVED = 1e-6
 """Least move of an axis, m or rad."""
+_FEWEST_IN_TURN = 10
+"""Least number of rows in which two values in turn are no chance."""
+_LONG_TOOL_M = 0.5
+"""Longest tool that may be on any machine."""
 _FEWEST = 5
 """Least number of moves that are judged."""
 
@@ -35,6 +39,8 @@ def implausible(
         *_times(plan),
         *_travels(chain, plan, instrument),
         *_directions(plan),
+        *_alternating(plan),
+        *_tool(chain),
         *([] if readings is None else _noise(plan, instrument, readings)),
     ]
 
@@ -172,6 +178,35 @@ def _directions(plan: Plan) -> list[str]:
         f"{plural(len(still), 'changes', 'change')}, although the axes move both ways from row to "
         "row: if every position was approached from one side, backlash cannot be seen; otherwise "
         "record the direction of the last move, or remove the column"
+    ]
+
+
+def _alternating(plan: Plan) -> list[str]:
+    """Temperatures and times that take two values in turn."""
+    said = []
+    for name in plan.covariates:
+        column = file_column(name.rpartition(":")[2], plan.axes)[0]
+        values = plan.values(name)
+        values = values[np.isfinite(values)]
+        if not column.endswith(("_degC", "t_s")) or len(values) < _FEWEST_IN_TURN:
+            continue
+        if values[0] != values[1] and (values[2:] == values[:-2]).all():
+            said.append(
+                f"{column} alternates between two values from row to row, as no machine does: two "
+                "sensors in one column, or a converter that is not settled; correct the column"
+            )
+    return said
+
+
+def _tool(chain: Chain) -> list[str]:
+    travels = [np.ptp(joint.travel) for joint in chain.joints if not joint.turns]
+    size, tool = float(np.linalg.norm(travels)), float(np.linalg.norm(chain.tool_offset))
+    if chain.arm or not math.isfinite(size) or tool <= max(size, _LONG_TOOL_M):
+        return []
+    return [
+        f"the tool offset of {1e3 * tool:.4g} mm is longer than the diagonal of the travel, "
+        f"{1e3 * size:.4g} mm; correct its unit, if the frame of the last axis is not that far "
+        "from the tool point"
     ]
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from ...errors import StudyError
 from ...instruments.base import Column
 from ...registry import nearest
+from ...words import printable
 from ..messages import listed, refusal
 from . import times
 from .formats import ColumnSettings
@@ -124,9 +125,9 @@ def assign(
     used = {i for one in found for i in one.places}
     taken = {one.column for one in found}
     free = [i for i in range(len(grid.names)) if i not in used]
-    plain = {grid.names[i] for i in free}
+    names = {grid.names[i] for i in free} | taken
     for i in free:
-        one = _read(grid, i, asked, optional, plain | taken)
+        one = _read(grid, i, asked, optional, names)
         if one.column in taken and one.column:
             # The mapping says which column is the quantity; this one is another.
             one = Assigned("", one.places, one.source)
@@ -202,7 +203,7 @@ def _place(grid: Grid, name: str, source: str | int, place: Place) -> int:
             return source - 1
         found, expected = f"column {source} of {len(names)}", f"a number from 1 to {len(names)}"
     else:
-        source = " ".join(source.split())
+        source = printable(" ".join(source.split()), lines=False)
         alike = [i for i, one in enumerate(names) if one == source] or [
             i for i, one in enumerate(names) if one.casefold() == source.casefold()
         ]

@@ -5,8 +5,11 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from ...bounds import Within
+
 _Text = Annotated[str, Field(min_length=1)]
-_Place = Annotated[int, Field(ge=1, le=100_000)]
+_Place = Annotated[int, Within(1, 100_000, "places count from 1, and no table is wider")]
+_Lines = Annotated[int, Within(0, 1_000_000, "no table has a longer preamble")]
 _MARKS = {"comma": ",", "semicolon": ";", "tab": "\t", "pipe": "|", "blank": " ", "blanks": " "}
 """Separators that may be named by a word."""
 
@@ -26,7 +29,9 @@ class ColumnSettings(BaseModel):
     in the name of the quantity."""
     sign: Literal[1, -1] = 1
     """-1 where the file counts the other way."""
-    offset: Annotated[float, Field(ge=-1e9, le=1e9)] = 0.0
+    offset: Annotated[
+        float, Within(-1e10, 1e10, "it would leave no digits to the numbers in the column")
+    ] = 0.0
     """What is added at last, in the unit in the name of the quantity."""
     format: _Text | None = None
     """Of a time: ``"iso8601"``, ``"excel"`` (days since 1899-12-30) or a pattern of Python's
@@ -56,10 +61,10 @@ class TableFormat(BaseModel):
     sheet: _Text | _Place | None = None
     """Sheet of a spreadsheet, by its name or number from 1; may be left out where only one has
     cells. ``"FILE.xlsx#SHEET"`` as the name of a file means the same."""
-    header_row: Annotated[int, Field(ge=0, le=1_000_000)] | None = None
+    header_row: _Lines | None = None
     """Line of the file with the names of the columns, from 1; 0 where there is none, so that
     `columns` gives numbers. By default the first line that is neither empty nor a comment."""
-    skip_rows: Annotated[int, Field(ge=0, le=1_000_000)] | tuple[_Place, ...] = 0
+    skip_rows: _Lines | tuple[_Place, ...] = 0
     """Number of lines at the top of the file to be skipped, or a list of single lines, from 1."""
     comment: Annotated[str, Field(max_length=8)] = "#"
     """Beginning of lines that are comments; empty where there are none."""

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from ...errors import StudyError
+from ...words import printable
 from ..messages import refusal, shown
 from .formats import TableFormat
 from .units import is_unit_cell, units_of
@@ -108,6 +109,10 @@ class Grid:
         first = [column.first(_TITLES) for column in self.columns]
         return any(_are_numbers(row) for row in zip(*first, strict=True))
 
+    def __post_init__(self) -> None:
+        # Names of a stranger's file go to the terminal, to pages and to pictures.
+        self.names = tuple(printable(name, lines=False) for name in self.names)
+
     def unit(self, place: int) -> str:
         """The unit of a column in the units row; empty without one."""
         text = self.units[place] if self.units else ""
@@ -178,8 +183,9 @@ def _check_header(
             "add a header line; or set header_row = 0 and give the number of every column in "
             "[data.columns], such as x_mm = { from = 1 }",
         )
+    often = collections.Counter(header)
     for column in header:
-        if column and header.count(column) > 1:
+        if column and often[column] > 1:
             places = [str(i + 1) for i, c in enumerate(header) if c == column]
             raise refusal(
                 name,
