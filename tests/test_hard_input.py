@@ -197,7 +197,9 @@ def test_a_checkpoint_that_was_signed_anew(tmp_path, case):
     done = summary()
     Checkpoint(tmp_path, FORMAT).save(done.arrays(), done.kept)
     again = summary()
-    _resume(again, Checkpoint(tmp_path, FORMAT), 10_000)  # as written
+    held = Checkpoint(tmp_path, FORMAT)
+    _resume(again, held, 10_000)  # as written
+    held.release()
     assert again.draws == done.draws
     signed(tmp_path, FORGED[case])
     with pytest.raises(StudyError, match="expected .*; delete the folder to start again"):

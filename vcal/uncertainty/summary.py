@@ -100,12 +100,11 @@ class Summary:
         """
         for name, own in self.arrays().items():
             found = arrays.get(name)
-            varies = name.endswith(".pilot")  # the number of its rows is that of the first draws
-            if (
-                found is None
-                or found.dtype != own.dtype
-                or not (varies or found.shape == own.shape)
-            ):
+            # The number of rows of these is that of the first, or of the latest draws.
+            first = 1 if name.endswith((".pilot", ".waiting")) else 0
+            if found is None or (found.dtype, found.ndim, found.shape[first:]) != (
+                own.dtype, own.ndim, own.shape[first:]
+            ):  # fmt: skip
                 raise ValueError(f"no {name} of shape {own.shape}")
         if not 0 <= int(arrays["draws"]) <= 2**32:
             raise ValueError(f"{int(arrays['draws'])} draws")
