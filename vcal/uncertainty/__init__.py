@@ -13,6 +13,14 @@ from .adaptive import Adaptive, Precision, numerical_tolerance
 from .budget import Budget
 from .campaign import Campaign, monte_carlo, virtual_pair
 from .comparison import Attained, Comparison, attained_coverage, compare
+from .conformity import (
+    Conformity,
+    GlobalRisks,
+    Tolerance,
+    conformity,
+    global_risks,
+    guard_band_for_risk,
+)
 from .curves import CalibrationCurve, Prediction, calibration_curve
 from .ensemble import Ensemble, FieldResult
 from .functions import propagate_distributions
@@ -45,11 +53,14 @@ __all__ = [
     "CalibrationCurve",
     "Campaign",
     "Comparison",
+    "Conformity",
     "Ellipsoid",
     "Ensemble",
     "ErrorMotionErrors",
     "Field",
     "FieldResult",
+    "GlobalRisks",
+    "Linearised",
     "Joint",
     "Left",
     "LineErrors",
@@ -61,6 +72,7 @@ __all__ = [
     "Prediction",
     "Programs",
     "Quantity",
+    "Tolerance",
     "Required",
     "Sweep",
     "TwoLevel",
@@ -69,12 +81,15 @@ __all__ = [
     "budget_table",
     "calibration_curve",
     "compare",
+    "conformity",
     "comparison_table",
     "coverage_box",
     "coverage_ellipsoid",
     "drawn_errors",
     "expected_error",
     "fitted_places",
+    "global_risks",
+    "guard_band_for_risk",
     "joint_outputs",
     "linearised",
     "load_budget",
