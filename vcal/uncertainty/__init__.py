@@ -13,7 +13,8 @@ from .adaptive import Adaptive, Precision, numerical_tolerance
 from .budget import Budget
 from .campaign import Campaign, monte_carlo, virtual_pair
 from .comparison import Attained, Comparison, attained_coverage, compare
-from .conformity import (
+from .curves import CalibrationCurve, Prediction, calibration_curve
+from .decisions import (
     Conformity,
     GlobalRisks,
     Tolerance,
@@ -21,7 +22,6 @@ from .conformity import (
     global_risks,
     guard_band_for_risk,
 )
-from .curves import CalibrationCurve, Prediction, calibration_curve
 from .ensemble import Ensemble, FieldResult
 from .functions import propagate_distributions
 from .joint import Joint, joint_outputs
@@ -60,7 +60,6 @@ __all__ = [
     "Field",
     "FieldResult",
     "GlobalRisks",
-    "Linearised",
     "Joint",
     "Left",
     "LineErrors",

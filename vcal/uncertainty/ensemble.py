@@ -181,7 +181,7 @@ class Ensemble:
 
     def _finite(self, at: int) -> Float[np.ndarray, " n"]:
         """The finite values of a scalar output."""
-        values = self.values[:, at]
+        values = np.ascontiguousarray(self.values[:, at])
         return values[np.isfinite(values)] if self.failed.get(self.labels[at]) else values
 
 
