@@ -38,6 +38,7 @@ COMMANDS = {
     "within_u_new": "within_u.py --first-seed 31000 --sets 60",
     "practice": "practice.py --data ../shared/data",
     "speed": "speed.py --data ../shared/data",
+    "uncertainty_peers": "uncertainty_peers.py --peers PYTHON",
 }
 """Commands of the results that are not those of the script of the same name without options."""
 POWER = (
@@ -498,6 +499,26 @@ def two_level(found: dict) -> str:
     return table(head, [row])
 
 
+def uncertainty_peers(found: dict) -> str:
+    rows = []
+    for one in found["rows"]:
+        gum = one["work"] == "gum"
+        rows.append(
+            [
+                one["tool"],
+                "GUM" if gum else f"{found['draws']:,} draws",
+                f"{1e3 * one['first_s']:.3g}",
+                f"{1e3 * one['warm_s']:.3g}",
+                f"{1e3 * one['warm_cpu_s']:.3g}",
+                "" if gum else f"{one['first_of_numpy']:.2f}",
+                "" if gum else f"{one['warm_of_numpy']:.2f}",
+                "" if gum else f"{one['warm_cpu_of_numpy']:.2f}",
+            ]
+        )
+    head = "program,work,first ms,warm ms,warm CPU ms,first / numpy,warm / numpy,warm CPU / numpy"
+    return table(head, rows)
+
+
 TABLES: dict[str, tuple[Callable[..., str], tuple[str, ...]]] = {
     "results": (results, ()),
     **{
@@ -521,6 +542,7 @@ TABLES: dict[str, tuple[Callable[..., str], tuple[str, ...]]] = {
 }
 """Function and result files of every table of the README."""
 LONG = {
+    "uncertainty_peers": (uncertainty_peers, ("uncertainty_peers",)),
     **{
         f.__name__: (f, ("power",))
         for f in (

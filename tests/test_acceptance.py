@@ -12,11 +12,11 @@ import vcal
 from identified import exact_points, identified
 from oracle import align, write_study
 from report_schema import SCHEMA
-from vcal.compensation.conformity import Requirement, decide
 from vcal.compensation.stored import machine_from, machine_record
 from vcal.compensation.volume import working_volume
 from vcal.compensation.volumetric_error import VolumetricError, points_per_axis, volumetric_error
 from vcal.machine.chain import chain_from_string
+from vcal.numerics.conformity import Draws, Requirement, Tolerance, decide
 from vcal.report.loop.decision import (
     acceptance_section,
     chance,
@@ -27,6 +27,10 @@ from vcal.report.loop.decision import (
 from vcal.study.statements import AcceptanceSettings
 
 COUNT = 200_000
+
+
+def judged(values, upper, *rule, **rules):
+    return decide(Draws(values), Requirement(Tolerance(upper=upper), *rule, **rules))
 
 
 def normal(y, u, count=COUNT):
@@ -45,7 +49,7 @@ def normal(y, u, count=COUNT):
     ],
 )
 def test_conformance_probabilities_that_are_printed(y, u, limit, printed):
-    found = decide(normal(y, u), Requirement(limit))
+    found = judged(normal(y, u), limit)
     assert found.probability == pytest.approx(norm.cdf((limit - y) / u), abs=1e-5)
     assert round(found.probability, 2) == printed
     assert (found.estimate, found.u) == (pytest.approx(y), pytest.approx(u, rel=1e-4))
@@ -55,11 +59,11 @@ def test_conformance_probabilities_that_are_printed(y, u, limit, printed):
     ("probability", "z"), [(0.80, 0.84), (0.90, 1.28), (0.95, 1.64), (0.99, 2.33), (0.999, 3.09)]
 )
 def test_guard_bands_are_those_of_table_1(probability, z):
-    found = decide(normal(12.0, 2.0), Requirement(20.0, 1.0 - probability))
-    assert round(found.guard_band / 2.0, 2) == z
-    assert found.guard_band == pytest.approx(2.0 * norm.ppf(probability), rel=2e-3)
-    assert found.acceptance_limit == pytest.approx(20.0 - found.guard_band)
-    assert found.rejection_limit == pytest.approx(20.0 + found.guard_band, rel=1e-3)
+    found = judged(normal(12.0, 2.0), 20.0, 1.0 - probability)
+    assert round(found.guard_band[1] / 2.0, 2) == z
+    assert found.guard_band[1] == pytest.approx(2.0 * norm.ppf(probability), rel=2e-3)
+    assert found.acceptance[1] == pytest.approx(20.0 - found.guard_band[1])
+    assert found.rejection[1] == pytest.approx(20.0 + found.guard_band[1], rel=1e-3)
 
 
 @pytest.mark.parametrize("skewed", [False, True])
@@ -70,10 +74,10 @@ def test_a_decision_by_probability_is_that_by_limits(skewed):
         values = random.normal(size=(500, 8))
         values = np.abs(values).max(1) if skewed else values[:, 0]
         values = values * random.uniform(0.2, 3.0) + random.uniform(0.0, 12.0)
-        found = decide(values, Requirement(6.0, 0.05))
+        found = judged(values, 6.0, 0.05)
         by_limits = (
-            "conforms" if found.estimate <= found.acceptance_limit
-            else "does_not_conform" if found.estimate > found.rejection_limit
+            "conforms" if found.estimate <= found.acceptance[1]
+            else "does_not_conform" if found.estimate > found.rejection[1]
             else "undecided"
         )  # fmt: skip
         assert found.verdict == by_limits
@@ -83,14 +87,14 @@ def test_a_decision_by_probability_is_that_by_limits(skewed):
 
 def test_simple_acceptance_compares_the_estimate():
     for y, verdict in ((5.9, "conforms"), (6.1, "does_not_conform")):
-        found = decide(normal(y, 1.0, 1000), Requirement(6.0, rule="simple"))
-        assert (found.verdict, found.guard_band, found.acceptance_limit) == (verdict, 0.0, 6.0)
+        found = judged(normal(y, 1.0, 1000), 6.0, rule="simple")
+        assert (found.verdict, found.guard_band[1], found.acceptance[1]) == (verdict, 0.0, 6.0)
     with pytest.raises(ValueError, match="found 1 values, expected two"):
-        decide(np.ones(1), Requirement(1.0))
+        judged(np.ones(1), 1.0)
 
 
 def test_a_probability_is_stated_no_finer_than_its_draws():
-    low, high, middle = (decide(normal(y, 1.0, 1000), Requirement(0.0)) for y in (9, -9, 0))
+    low, high, middle = (judged(normal(y, 1.0, 1000), 0.0) for y in (9, -9, 0))
     assert [chance(one) for one in (low, high, middle)] == ["below 0.3 %", "above 99.7 %", "50.0 %"]
     assert middle.u_probability == pytest.approx(np.sqrt(0.25 / 1000))
 
@@ -126,7 +130,7 @@ def test_the_largest_error_has_the_distribution_of_exact_kinematics(known, error
         assert drawn.mean() == pytest.approx(oracle.mean(), rel=0.02)
     # As does the probability to conform with a tolerance inside the distribution.
     tolerance = float(np.quantile(error.before.largest, 0.8))
-    p = decide(error.before.largest, Requirement(tolerance)).probability
+    p = judged(error.before.largest, tolerance).probability
     share = np.mean([largest <= tolerance for _, largest in sizes])
     assert abs(p - share) < 4.0 * np.sqrt(p * (1.0 - p) * (1.0 / 250 + 1.0 / 1500))
 

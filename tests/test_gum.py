@@ -429,7 +429,7 @@ def test_same_function_is_traced_once():
     propagate(function, Inputs({"x": Normal(0.0, 0.1)}))
     before = len(traced)
     budget = propagate(function, Inputs({"x": Normal(1.0, 0.2)}))
-    assert len(traced) == before + 1  # its shapes only, without a derivative
+    assert len(traced) == before
     assert budget.u[0] == pytest.approx(0.2 * math.e)
 
 
@@ -545,17 +545,9 @@ def test_first_order_part_of_zero_takes_the_fewest_degrees_of_freedom():
 # --- mistakes ---
 
 
-@pytest.mark.parametrize(
-    "function",
-    [
-        lambda v: math.sqrt(v["x"]),
-        lambda v: np.asarray(v["x"]) + 1.0,
-        lambda v: v["x"] if v["x"] > 0 else 0.0 * v["x"],
-    ],
-)
-def test_function_that_is_not_jax(function):
-    with pytest.raises(ValueError, match="not written in JAX"):
-        propagate(function, Inputs({"x": Normal(1.0, 0.1)}))
+def test_function_that_fails_at_the_estimates():
+    with pytest.raises(ValueError, match=r"fails at the estimates \(x = -1.0\): ValueError: math"):
+        propagate(lambda v: math.sqrt(v["x"]), Inputs({"x": Normal(-1.0, 0.1)}))
 
 
 @pytest.mark.parametrize("given", [{}, jnp.zeros(0)])

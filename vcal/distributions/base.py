@@ -6,7 +6,7 @@ values are known.
 """
 
 import abc
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import equinox as eqx
 import jax
@@ -21,6 +21,8 @@ from ..numerics.arrays import Array
 from ..numerics.record import Record
 from .scores import score_coefficients
 
+Raw = Literal["normal", "uniform", "polar"]
+
 
 class Distribution(Record):
     """Base class of all distributions; subclasses are final.
@@ -29,6 +31,8 @@ class Distribution(Record):
     """
 
     name: ClassVar[str]
+    raw: ClassVar[Raw | None] = None
+    """Random numbers from which `from_raw` makes draws; None where only `sample` does."""
 
     mean: eqx.AbstractVar[Array]
     """Expectation, (): univariate, or (d,)."""
@@ -74,6 +78,14 @@ class Distribution(Record):
     @abc.abstractmethod
     def sample(self, key: PRNGKeyArray, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
         """Draws of shape `shape` + `self.shape`, which depend only on the key and the shape."""
+
+    def from_raw(self, raw: Float[Array, "d n"]) -> Float[Array, "n ..."]:
+        """n draws from n random numbers of the kind `self.raw` per element.
+
+        ``"normal"``: N(0, 1); ``"uniform"``: rectangular on (0, 1); ``"polar"``: two rows,
+        -2 ln u and cos(2 pi v) of rectangular u and v.
+        """
+        raise NotImplementedError(f"{self.name} has no draws from {self.raw}")
 
 
 class Univariate(Distribution):

@@ -9,7 +9,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Float, PRNGKeyArray
 
 from ..numerics.arrays import Array
-from .base import Univariate, degrees, demand, finite, number, ordered
+from .base import Raw, Univariate, degrees, demand, finite, number, ordered
 from .registry import register
 
 
@@ -21,6 +21,7 @@ class Uniform(Univariate):
     """
 
     name: ClassVar[str] = "uniform"
+    raw: ClassVar[Raw | None] = "uniform"
     low: Float[Array, ""]
     high: Float[Array, ""]
     dof: Float[Array, ""]
@@ -62,6 +63,9 @@ class Uniform(Univariate):
     def sample(self, key: PRNGKeyArray, shape: tuple[int, ...] = ()) -> Array:
         return self.low + (self.high - self.low) * jax.random.uniform(key, shape, dtype=float)
 
+    def from_raw(self, raw: Array) -> Array:
+        return self.low + (self.high - self.low) * raw[0]
+
 
 @register
 class Triangular(Univariate):
@@ -72,6 +76,7 @@ class Triangular(Univariate):
     """
 
     name: ClassVar[str] = "triangular"
+    raw: ClassVar[Raw | None] = "uniform"
     low: Float[Array, ""]
     high: Float[Array, ""]
     mode: Float[Array, ""]
@@ -143,6 +148,9 @@ class Triangular(Univariate):
     def sample(self, key: PRNGKeyArray, shape: tuple[int, ...] = ()) -> Array:
         p = jax.random.uniform(key, shape, dtype=float)
         return self.inverse(p, 1.0 - p)
+
+    def from_raw(self, raw: Array) -> Array:
+        return self.inverse(raw[0], 1.0 - raw[0])
 
     def _flanks(self) -> tuple[Array, Array, Array]:
         return self.mode - self.low, self.high - self.mode, self.high - self.low
@@ -240,6 +248,7 @@ class Arcsine(Univariate):
     """
 
     name: ClassVar[str] = "arcsine"
+    raw: ClassVar[Raw | None] = "uniform"
     low: Float[Array, ""]
     high: Float[Array, ""]
     dof: Float[Array, ""]
@@ -287,6 +296,9 @@ class Arcsine(Univariate):
     def sample(self, key: PRNGKeyArray, shape: tuple[int, ...] = ()) -> Array:
         p = jax.random.uniform(key, shape, dtype=float)
         return self.inverse(p, 1.0 - p)
+
+    def from_raw(self, raw: Array) -> Array:
+        return self.inverse(raw[0], 1.0 - raw[0])
 
 
 def _log(x: Array) -> Array:

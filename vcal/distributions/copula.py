@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
 from ..numerics.arrays import Array
-from .base import Multivariate, Univariate, in_float64
+from .base import Multivariate, Raw, Univariate, in_float64
 from .matrix import correlation_matrix, square_root
 from .registry import register
 from .scores import series_covariance
@@ -34,6 +34,7 @@ class GaussianCopula(Multivariate):
     """
 
     name: ClassVar[str] = "gaussian_copula"
+    raw: ClassVar[Raw | None] = "normal"
     margins: tuple[Univariate, ...]
     correlation: Float[Array, "d d"]
     """Correlation of the normal scores."""
@@ -103,4 +104,10 @@ class GaussianCopula(Multivariate):
 
     def sample(self, key: PRNGKeyArray, shape: tuple[int, ...] = ()) -> Array:
         z = jax.random.normal(key, (*shape, self.dimension), dtype=float) @ self.root.T
+        return self._from_scores(z)
+
+    def from_raw(self, raw: Array) -> Array:
+        return self._from_scores(raw.T @ self.root.T)
+
+    def _from_scores(self, z: Float[Array, "... d"]) -> Float[Array, "... d"]:
         return jnp.stack([m.from_score(z[..., i]) for i, m in enumerate(self.margins)], axis=-1)

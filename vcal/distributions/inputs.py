@@ -1,21 +1,33 @@
 """The inputs of an evaluation of uncertainty: named quantities and their joint distribution."""
 
 import math
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, get_args
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, PRNGKeyArray
+from jax.core import Tracer
+from jaxtyping import Float, PRNGKeyArray, UInt32
+from scipy.linalg import block_diag
 
 from ..numerics.arrays import Array
+from ..numerics.counter_draws import (
+    bits_of,
+    key_words,
+    normal_rows,
+    polar_rows,
+    threefry,
+    uniform_rows,
+)
 from ..numerics.record import Record
 from ..registry import nearest
-from .base import Distribution
+from .base import Distribution, Raw
 from .copula import GaussianCopula
 from .dependence import Measure, score_correlation
+
+_MADE = {"normal": normal_rows, "uniform": uniform_rows}
 
 Correlation = Mapping[tuple[str, str], float]
 """(name, name) -> correlation of two univariate inputs, of the normal scores unless stated."""
@@ -140,6 +152,11 @@ class Inputs(Record):
         return jnp.sqrt(jnp.concatenate(variances))
 
     @property
+    def coupled(self) -> bool:
+        """Whether correlations of univariate inputs are declared."""
+        return bool(self._groups)
+
+    @property
     def independent(self) -> bool:
         """Whether the flattened inputs are all independent of each other; not inside `jit`."""
         return not self._groups and all(d.independent for d in self._distributions)
@@ -220,9 +237,55 @@ class Inputs(Record):
             found |= {self.names[i]: drawn[place] for place, i in enumerate(group)}
         return {name: found[name] for name in self.names}
 
+    def row_keys(
+        self, key: PRNGKeyArray, blocks: UInt32[np.ndarray, " b"]
+    ) -> UInt32[np.ndarray, "b rows 2"]:
+        """Keys of the rows of random numbers from which `draws` makes these blocks of draws.
+
+        As for `sample`, every input has keys of its own, derived from `key`, the number of the
+        block and the position of the input. `key` is one of threefry2x32
+        (`jax.random.key(seed, impl="threefry2x32")`).
+        """
+        place = [(i, e) for i, d in self._sources for e in range(_rows(d))]
+        position, element = np.array(place, np.uint32).T
+        own = threefry(key_words(key), (np.asarray(blocks, np.uint32)[:, None], position))
+        return np.stack(threefry(own, (element, np.ones_like(element))), axis=-1)
+
+    def draws(
+        self, keys: UInt32[Array, "rows 2"], count: int
+    ) -> dict[str, Float[Array, "count ..."]]:
+        """The `count` draws of a block by name, draws along the first axis: a pure function of the
+        keys of the block (`row_keys`) and `count`.
+        """
+        sources = self._sources
+        ends = np.cumsum([_rows(d) for _, d in sources]).tolist()
+        at = {i: slice(end - _rows(d), end) for end, (i, d) in zip(ends, sources, strict=True)}
+        drawn: dict[int, Array] = {}
+        for kind in get_args(Raw):
+            mine = [(i, d) for i, d in sources if d.raw == kind]
+            drawn |= _from_raw(kind, mine, [keys[at[i]] for i, _ in mine], count)
+        for i, d in sources:
+            if d.raw is None:
+                own = jax.random.wrap_key_data(keys[at[i]][0], impl="threefry2x32")
+                drawn[i] = d.sample(own, (count,))
+        for group in self._groups:
+            together = drawn[group[0]]
+            drawn |= {i: together[:, n] for n, i in enumerate(group)}
+        return {name: drawn[i] for i, name in enumerate(self.names)}
+
+    @property
+    def _sources(self) -> list[tuple[int, Distribution]]:
+        """Position and distribution of what is drawn together: an input, or a group's copula."""
+        coupled = {i for group in self._groups for i in group}
+        alone = [(i, d) for i, d in enumerate(self._distributions) if i not in coupled]
+        return alone + [(g[0], c) for g, c in zip(self._groups, self._copulas, strict=True)]
+
     def _assembled(self, matrix_of: Callable[[Distribution], Array]) -> Float[Array, "k k"]:
         """A matrix of the flattened inputs from the matrices of the inputs and of the copulas."""
         starts = self._starts
+        single = [matrix_of(d) for d in self._distributions]
+        if not self._groups and not any(isinstance(one, Tracer) for one in single):
+            return np.asarray(block_diag(*single))
         matrix = jnp.zeros((self.size, self.size))
         for start, d in zip(starts, self._distributions, strict=False):
             n = math.prod(d.shape)
@@ -282,6 +345,27 @@ class Inputs(Record):
                 ", ".join(pair),
             )
         return matrix
+
+
+def _rows(d: Distribution) -> int:
+    """Rows of random numbers from which a distribution makes its draws."""
+    return 1 if d.raw is None or d.raw == "polar" else math.prod(d.shape)
+
+
+def _from_raw(
+    kind: Raw, sources: Sequence[tuple[int, Distribution]], keys: Sequence[Array], count: int
+) -> dict[int, Array]:
+    """Draws of all inputs that are made from one kind of random numbers, in one go."""
+    if not sources:
+        return {}
+    pairs = count if kind == "polar" else (count + 1) // 2
+    bits = bits_of(jnp.concatenate(keys), pairs)
+    ends = np.cumsum([_rows(d) for _, d in sources]).tolist()
+    raw = jnp.stack(polar_rows(bits), axis=1) if kind == "polar" else _MADE[kind](bits)[:, :count]
+    return {
+        i: d.from_raw(raw[end - 1] if kind == "polar" else raw[end - _rows(d) : end])
+        for end, (i, d) in zip(ends, sources, strict=True)
+    }
 
 
 def _connected(matrix: Float[np.ndarray, "n n"]) -> tuple[tuple[int, ...], ...]:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
 from ..numerics.arrays import Array
-from .base import Multivariate, counts, demand, in_float64, number, positive
+from .base import Multivariate, Raw, counts, demand, in_float64, number, positive
 from .matrix import covariance_matrix, square_root
 from .registry import register
 
@@ -24,6 +24,7 @@ class MultivariateNormal(Multivariate):
     """
 
     name: ClassVar[str] = "multivariate_normal"
+    raw: ClassVar[Raw | None] = "normal"
     mean: Float[Array, " d"]
     covariance: Float[Array, "d d"]
     dof: Float[Array, " d"]
@@ -54,6 +55,9 @@ class MultivariateNormal(Multivariate):
     def sample(self, key: PRNGKeyArray, shape: tuple[int, ...] = ()) -> Array:
         z = jax.random.normal(key, (*shape, self.dimension), dtype=float)
         return self.mean + z @ self.root.T
+
+    def from_raw(self, raw: Array) -> Array:
+        return self.mean + raw.T @ self.root.T
 
 
 @register

@@ -10,7 +10,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Float, PRNGKeyArray
 
 from ..numerics.arrays import Array
-from .base import Univariate, degrees, finite, number, ordered, positive
+from .base import Raw, Univariate, degrees, finite, number, ordered, positive
 from .inverse import beta_logit_quantile, beta_tails, gamma_log_quantile, log_beta
 from .registry import register
 
@@ -24,6 +24,7 @@ class LogNormal(Univariate):
     """
 
     name: ClassVar[str] = "log_normal"
+    raw: ClassVar[Raw | None] = "normal"
     mu: Float[Array, ""]
     sigma: Float[Array, ""]
     dof: Float[Array, ""]
@@ -74,6 +75,9 @@ class LogNormal(Univariate):
 
     def sample(self, key: PRNGKeyArray, shape: tuple[int, ...] = ()) -> Array:
         return self.from_score(jax.random.normal(key, shape, dtype=float))
+
+    def from_raw(self, raw: Array) -> Array:
+        return self.from_score(raw[0])
 
 
 @register

@@ -14,6 +14,14 @@ from .budget import Budget
 from .campaign import Campaign, monte_carlo, virtual_pair
 from .comparison import Attained, Comparison, attained_coverage, compare
 from .curves import CalibrationCurve, Prediction, calibration_curve
+from .decisions import (
+    Conformity,
+    GlobalRisks,
+    Tolerance,
+    conformity,
+    global_risks,
+    guard_band_for_risk,
+)
 from .ensemble import Ensemble, FieldResult
 from .functions import propagate_distributions
 from .joint import Joint, joint_outputs
@@ -45,11 +53,13 @@ __all__ = [
     "CalibrationCurve",
     "Campaign",
     "Comparison",
+    "Conformity",
     "Ellipsoid",
     "Ensemble",
     "ErrorMotionErrors",
     "Field",
     "FieldResult",
+    "GlobalRisks",
     "Joint",
     "Left",
     "LineErrors",
@@ -61,6 +71,7 @@ __all__ = [
     "Prediction",
     "Programs",
     "Quantity",
+    "Tolerance",
     "Required",
     "Sweep",
     "TwoLevel",
@@ -69,12 +80,15 @@ __all__ = [
     "budget_table",
     "calibration_curve",
     "compare",
+    "conformity",
     "comparison_table",
     "coverage_box",
     "coverage_ellipsoid",
     "drawn_errors",
     "expected_error",
     "fitted_places",
+    "global_risks",
+    "guard_band_for_risk",
     "joint_outputs",
     "linearised",
     "load_budget",

@@ -36,7 +36,9 @@ class Adaptive:
     """The end state of an adaptive campaign (JCGM 101, 7.9.4)."""
 
     settled: bool
-    """Whether every output is stable; otherwise the largest number of draws was reached."""
+    """Whether every output is stable. Otherwise the largest number of draws was reached, or an
+    output is finite in no draw.
+    """
     digits: int
     """Required significant decimal digits of u."""
     steps: int
@@ -45,6 +47,8 @@ class Adaptive:
     """delta of every scalar output."""
     precision: Precision
     """Standard deviations s; an output is stable where 2 s <= delta for all four."""
+    done: bool = False
+    """Whether further draws would change nothing: every output is stable, or finite in no draw."""
 
     @property
     def stable(self) -> np.ndarray:
@@ -84,12 +88,12 @@ class Steps:
         """Verdict on the draws so far, whose standard uncertainty is `u`."""
         delta = np.array([numerical_tolerance(float(value), digits) for value in u])
         precision = self.precision()
-        # An output that is finite in no draw has no interval, whatever the number of draws.
+        # An output that is finite in no draw has no interval, whatever the number of draws: nothing
+        # more can be reached, but it is not stable.
         finite = self.count > 0
-        settled = self.steps > 1 and all(
-            bool(np.all((2.0 * s <= delta)[finite])) for s in precision
-        )
-        return Adaptive(settled, digits, self.steps, delta, precision)
+        done = self.steps > 1 and all(bool(np.all((2.0 * s <= delta)[finite])) for s in precision)
+        settled = done and bool(finite.all())
+        return Adaptive(settled, digits, self.steps, delta, precision, done)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """The state as arrays, for `restore`."""
@@ -120,7 +124,7 @@ class Steps:
         self.steps += 1
         columns, finite = np.ascontiguousarray(values.T), np.isfinite(values).T
         for k, (column, good) in enumerate(zip(columns, finite, strict=True)):
-            found = column[good]
+            found = column if good.all() else column[good]
             if len(found) - math.floor(self.coverage * len(found) + 0.5) < 1:
                 continue  # too few finite values for an interval of this output
             low, high = coverage_interval(found, self.coverage, self.kind)

@@ -217,10 +217,17 @@ class Budget:
 def coverage_factor(nu: Float[np.ndarray, " m"], coverage: float) -> Float[np.ndarray, " m"]:
     """k = t_p(nu): half the width of an interval of Student's t (JCGM 100, G.3.2, G.6.4).
 
-    `nu` is truncated to the next lower integer (JCGM 100, G.4.1); values below one are kept.
+    `nu` is truncated as by `whole_dof`.
     """
-    # A rounding error must not turn a single group of 4 degrees of freedom into 3.
-    whole = np.where(nu < 1.0, nu, np.floor(nu * (1.0 + 1e-9)))
+    whole = whole_dof(nu)
     q = 0.5 * (1.0 + coverage)
     known = np.isinf(whole)
     return np.where(known, ndtri(q), stdtrit(np.where(known, 1.0, whole), q))
+
+
+def whole_dof(nu: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+    """Degrees of freedom truncated to the next lower integer (JCGM 100, G.4.1); values below one
+    are kept.
+    """
+    # A rounding error must not turn a single group of 4 degrees of freedom into 3.
+    return np.where(nu < 1.0, nu, np.floor(nu * (1.0 + 1e-9)))

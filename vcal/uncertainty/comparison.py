@@ -39,6 +39,10 @@ class Comparison:
     """
     precision: Precision
     """Standard deviations of y, u, low and high of the Monte Carlo."""
+    failed: Float[np.ndarray, " m"]
+    """Share of the draws that are not finite, which the Monte Carlo leaves out."""
+    notes: tuple[str, ...] = ()
+    """Remarks of both methods on these numbers."""
 
     @property
     def d_low(self) -> Float[np.ndarray, " m"]:
@@ -114,6 +118,10 @@ def compare(
             _ROUNDING * np.abs(ensemble.mean[at]),
         ),
         precision=Precision(*(s[at] for s in ensemble.precision(budget.coverage, kind))),
+        failed=np.array(
+            [ensemble.failed.get(label, 0) / ensemble.draws for label in budget.labels]
+        ),
+        notes=tuple(dict.fromkeys((*budget.notes, *ensemble.notes))),
     )
 
 

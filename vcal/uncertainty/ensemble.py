@@ -181,8 +181,8 @@ class Ensemble:
 
     def _finite(self, at: int) -> Float[np.ndarray, " n"]:
         """The finite values of a scalar output."""
-        values = self.values[:, at]
-        return values[np.isfinite(values)]
+        values = np.ascontiguousarray(self.values[:, at])
+        return values[np.isfinite(values)] if self.failed.get(self.labels[at]) else values
 
 
 def ensemble_of(

@@ -6,21 +6,22 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PRNGKeyArray, UInt32
 
 from ..distributions import Inputs
 from ..numerics.arrays import Array
 from ..numerics.spatial import require_float64
+from .cautions import failed_notes, single_draw_notes
 from .ensemble import Ensemble
+from .evaluation import Evaluation, Function, code_digest, compiled_for, evaluation_of, named
 from .intervals import Kind
-from .propagation import Function, named, outputs_of
 from .streaming import MOST, Progress, stream
 
 _BLOCK = 10_000
+_KEYS = 256
+"""Blocks whose keys are computed at once."""
 
 
 def propagate_distributions(
@@ -42,36 +43,55 @@ def propagate_distributions(
         y_r = f(x_r),   x_r drawn from the joint distribution of the inputs,   r = 1 ... M
 
     `function` takes the values of the inputs by name and gives a number (an output called
-    ``"y"``), an array, or a dictionary of these; it is written in JAX, for one draw. Draw r uses
-    the key ``fold_in(key(seed), r)``, and all local devices are used; the result depends on the
-    seed alone. The other arguments are those of `stream`. The campaign in a `folder` is identified
-    by its seed, the compiled function and the numbers of the inputs.
+    ``"y"``), an array, or a dictionary of these, for one draw. The inputs of a block of draws
+    follow from the seed, the number of the block and the position of the input, by a generator
+    with counters (`vcal.numerics.counter_draws`), so that the result depends on the seed alone.
+
+    A function written in JAX is compiled, and all local devices are used. Any other function is
+    called with plain numbers, or with the arrays of a whole block where it gives the same with them
+    (`vcal.uncertainty.evaluation.Plain.block`). The other arguments are those of `stream`. The
+    campaign in a `folder` is identified by its seed, the compiled function, or the code of one that
+    is not in JAX, and the numbers of the inputs.
+
+    Draws that are not finite are left out, and a note states their share. Another note tells where
+    a single draw has a large share of the variance, as of an output without one.
 
     Student's t has no standard deviation for nu <= 2 degrees of freedom (JCGM 101, 6.4.9.5), and no
     expectation for nu <= 1. The same holds for an output that grows with such an input. Its
     coverage intervals exist, but y and u of the draws do not converge with their number, an
     adaptive campaign does not end before its largest number of draws, and a note reports it.
 
-    Raises `RuntimeError` where JAX runs in float32, `ValueError` for a function that is not written
-    in JAX or takes an unknown input and for invalid settings, `TypeError` for inputs that are no
-    `Inputs`, and `StudyError` for a folder of another campaign.
+    Raises `RuntimeError` where JAX runs in float32, `ValueError` for a function that fails at the
+    estimates, takes an unknown input, or is finite in no draw, and for invalid settings,
+    `TypeError` for inputs that are no `Inputs`, and `StudyError` for a folder of another campaign.
     """
     require_float64()
-    outputs = outputs_of(function, inputs)
-    key = jax.random.key(seed)
-    local = jax.local_devices()
+    how = evaluation_of(function, inputs)
+    key = jax.random.key(seed, impl="threefry2x32")
+    local = jax.local_devices() if how.plain is None else []
+
+    keys = _Keys(inputs, key)
+    if how.plain is None:
+        program, arrays = compiled_for(_draw, (function, inputs))
+    else:
+        program, arrays = compiled_for(_inputs, (function, inputs))
 
     def evaluate(first: int, count: int, device: Any = None) -> Mapping[str, Array]:
-        here = key if device is None else jax.device_put(key, device)
-        return _draw(function, inputs, here, np.asarray(first, np.uint32), count)
+        given = keys.of(first // count)
+        if device is not None:
+            given = jax.device_put(given, device)
+        found = program(arrays, given)
+        if how.plain is not None:
+            return how.plain.block({name: np.asarray(value) for name, value in found.items()})
+        return found
 
     fingerprint = None
     if folder is not None:
-        fingerprint = {"seed": seed} | _identity(function, inputs, key)
+        fingerprint = {"seed": seed} | _identity(function, inputs, key, how)
     done = stream(
         evaluate,
         draws,
-        outputs,
+        how.outputs,
         block=_BLOCK,
         chunk=chunk,
         folder=folder,
@@ -83,7 +103,13 @@ def propagate_distributions(
         digits=digits,
         most=most,
     )
-    return dataclasses.replace(done, notes=_without_moments(inputs))
+    if all(done.failed.get(label, 0) == done.draws for label in done.labels):
+        raise ValueError(
+            f"{', '.join(done.labels[:5])}: none of the {done.draws} draws is finite; check the "
+            "measurement function over the range of the inputs"
+        )
+    notes = (*_without_moments(inputs), *failed_notes(done), *single_draw_notes(done))
+    return dataclasses.replace(done, notes=notes)
 
 
 def _without_moments(inputs: Inputs) -> tuple[str, ...]:
@@ -100,27 +126,44 @@ def _without_moments(inputs: Inputs) -> tuple[str, ...]:
     )
 
 
-@eqx.filter_jit
-def _draw(
-    function: Function,
-    inputs: Inputs,
-    key: PRNGKeyArray,
-    first: UInt32[np.ndarray, ""],
-    count: int,
-) -> dict[str, Array]:
-    """Outputs of `count` draws, the first with index `first`."""
+class _Keys:
+    """Keys of the blocks of a campaign, computed on the host for many blocks at once."""
 
-    def one(index: Array) -> dict[str, Array]:
-        return named(function(inputs.sample(jax.random.fold_in(key, index))))
+    def __init__(self, inputs: Inputs, key: PRNGKeyArray):
+        self.inputs, self.key = inputs, key
+        self.first, self.known = 0, np.zeros((0, 0, 2), np.uint32)
 
-    return jax.vmap(one)(first + jnp.arange(count, dtype=jnp.uint32))
+    def of(self, block: int) -> UInt32[np.ndarray, "rows 2"]:
+        """Keys of one block."""
+        if not self.first <= block < self.first + len(self.known):
+            self.first = block
+            blocks = np.arange(block, block + _KEYS, dtype=np.uint32)
+            self.known = self.inputs.row_keys(self.key, blocks)
+        return self.known[block - self.first]
 
 
-def _identity(function: Function, inputs: Inputs, key: PRNGKeyArray) -> dict[str, str]:
-    """Checksums of the compiled program and of the numbers of the inputs."""
-    lowered = _draw.lower(function, inputs, key, np.asarray(0, np.uint32), _BLOCK)
+def _draw(function: Function, inputs: Inputs, keys: Array) -> dict[str, Array]:
+    """Outputs of the draws of a block."""
+    drawn = inputs.draws(keys, _BLOCK)
+    return jax.vmap(lambda values: named(function(values)))(drawn)
+
+
+def _inputs(function: Function, inputs: Inputs, keys: Array) -> dict[str, Array]:
+    """Inputs of the draws of a block."""
+    return inputs.draws(keys, _BLOCK)
+
+
+def _identity(
+    function: Function, inputs: Inputs, key: PRNGKeyArray, how: Evaluation
+) -> dict[str, str]:
+    """Checksums of the program and of the numbers of the inputs."""
+    program, arrays = compiled_for(_draw if how.plain is None else _inputs, (function, inputs))
     numbers = hashlib.sha256()
-    for leaf in jax.tree.leaves(eqx.filter((function, inputs), eqx.is_array)):
+    for leaf in arrays:
         numbers.update(np.asarray(leaf).tobytes())
-    program = hashlib.sha256(lowered.as_text().encode())
-    return {"measurement function": program.hexdigest(), "inputs": numbers.hexdigest()}
+    lowered: Any = program
+    text = lowered.lower(arrays, inputs.row_keys(key, np.zeros(1, np.uint32))[0]).as_text()
+    checksum = hashlib.sha256(text.encode()).hexdigest()
+    if how.plain is not None:
+        checksum = code_digest(function) + checksum
+    return {"measurement function": checksum, "inputs": numbers.hexdigest()}

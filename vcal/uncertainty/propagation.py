@@ -1,28 +1,24 @@
 """The GUM uncertainty framework (JCGM 100 and 102) by automatic differentiation."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal
+from collections.abc import Sequence
+from typing import Literal
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
 from ..distributions import Inputs, Univariate
 from ..numerics.arrays import Array
+from ..numerics.differences import Batch, First, Second, first_differences, second_differences
 from ..numerics.spatial import require_float64
-from ..registry import nearest
 from .budget import Budget, Source
+from .cautions import departure_notes
+from .evaluation import Evaluation, Flat, Function, compiled_for, evaluation_of
 from .intervals import check_coverage
-from .outputs import Output, labels_of
-from .taylor import Taylor, first_derivatives, first_order, second_order
+from .outputs import labels_of
+from .taylor import Taylor, first_derivatives, first_order, second_order, values_at
 
-Function = Callable[[dict[str, Array]], Any]
-"""Values of the inputs by name -> a number, an array, or a dictionary of these."""
-
-_UNNAMED = "y"
 _SCALED = ("t", "multivariate_t")
 """Distributions with a scale as u, as the GUM accounts for their tails in k."""
 _UNCORRELATED = 1e-12
@@ -31,17 +27,6 @@ _REACH, _NODES = 37.0, 7401
 """Range of normal scores for the integration of moments."""
 _RANK = 1e-14
 """Share of the trace of a correlation matrix below which an eigenvalue is a rounding error."""
-
-
-class Flat(eqx.Module):
-    """A measurement function from the vector of all inputs to the vector of all outputs."""
-
-    function: Function
-    inputs: Inputs
-
-    def __call__(self, x: Float[Array, " k"]) -> Float[Array, " m"]:
-        values = named(self.function(self.inputs.unflatten(x)))
-        return jnp.concatenate([jnp.ravel(value) for value in values.values()])
 
 
 def propagate(
@@ -57,8 +42,12 @@ def propagate(
         y = f(x),   cov(y) = c S c',   c = df/dx          (JCGM 100, 5.1.2, 5.2.2; JCGM 102, 6.2)
 
     with S the covariance of the inputs. `function` takes their values by name and gives a number
-    (an output called ``"y"``), an array, or a dictionary of these. It is written in JAX and has
-    derivatives at the estimates.
+    (an output called ``"y"``), an array, or a dictionary of these.
+
+    A function written in JAX is differentiated automatically. Where that gives no finite
+    derivative, and for any other function, of plain numbers, derivatives are differences that are
+    extrapolated to a step of zero (`vcal.numerics.differences`), and a note states the effect of
+    their estimated error on u.
 
     `order` 2 adds the next terms of the series to value and variance (`vcal.uncertainty.taylor`;
     JCGM 100, H.1.7). They assume normal inputs, which may be correlated. With `moments` ``"own"``,
@@ -87,118 +76,154 @@ def propagate(
     degrees of freedom: nu_eff is that of the first-order part, or the smallest number of all inputs
     where that part is zero.
 
-    Raises `ValueError` if the function is not written in JAX or takes an unknown input, if it or a
-    derivative is not finite at the estimates, if a second-order variance is negative, if an input
-    without a standard deviation is correlated with another, and for invalid settings; `TypeError`
-    for inputs that are no `Inputs`.
+    Raises `ValueError` if the function fails at the estimates or takes an unknown input, if it or a
+    derivative is not finite there, also by differences, if a second-order variance is negative, if
+    an input without a standard deviation is correlated with another, and for invalid settings;
+    `TypeError` for inputs that are no `Inputs`.
     """
     require_float64()
     _check_settings(order, moments, t)
     check_coverage(coverage)
-    labels = labels_of(outputs_of(function, inputs))
+    how = evaluation_of(function, inputs)
+    labels = labels_of(how.outputs)
     source = _source(inputs, t)
-    flat = Flat(function, inputs)
-    value, sensitivity = first_derivatives(flat, source.value)
-    _check_finite(np.isfinite(value[:, None]), labels, "value")
-    _check_finite(np.isfinite(sensitivity), labels, "derivative")
     root, alone = _root(source)
-    taylor = first_order(sensitivity @ root)
+    point = _Point(how, Flat(function, inputs), source, root)
+    _check_finite(np.isfinite(point.value[:, None]), labels, "value")
+    _check_finite(np.isfinite(point.sensitivity), labels, "derivative")
+    taylor = first_order(point.sensitivity @ root)
     if order == 2:
         shapes = _shapes(inputs, source, alone) if moments == "own" else np.zeros((2, len(alone)))
-        taylor = second_order(flat, source.value, root, *shapes)
+        taylor = point.second(*shapes)
         _check_finite(taylor.finite[:, None], labels, "second or third derivative")
     variance = _checked_variance(taylor, labels)
-    nu_eff, notes = effective_dof(source, sensitivity)
+    u = np.sqrt(variance)
+    nu_eff, notes = effective_dof(source, point.sensitivity)
     if order == 1:
         notes += _blind(labels, taylor, source)
+    notes += point.notes(labels, u, taylor)
+    notes += departure_notes(labels, point.value, u, taylor, point.moved)
     return Budget(
         labels=labels,
-        value=value + taylor.shift,
-        u=np.sqrt(variance),
+        value=point.value + taylor.shift,
+        u=u,
         nu_eff=nu_eff,
         coverage=coverage,
         order=order,
         source=source,
-        sensitivity=sensitivity,
+        sensitivity=point.sensitivity,
         taylor=taylor,
         notes=notes,
     )
 
 
-def named(values: Any) -> dict[str, Array]:
-    """Outputs of a measurement function by name; a single one is called ``"y"``.
+class _Point:
+    """Value and derivatives of a measurement function at the estimates."""
 
-    A complex output ``"S"`` is two real ones, ``"S.re"`` and ``"S.im"``. Raises `ValueError` for a
-    value that is neither a number nor an array.
-    """
-    found = dict(values) if isinstance(values, Mapping) else {_UNNAMED: values}
-    try:
-        arrays = {str(name): jnp.asarray(value) for name, value in found.items()}
-    except (TypeError, ValueError) as error:
-        raise ValueError(
-            f"the measurement function gave {values!r}, expected a number, an array, or a "
-            "dictionary of these"
-        ) from error
-    real: dict[str, Array] = {}
-    for name, array in arrays.items():
-        if jnp.iscomplexobj(array):
-            real |= {f"{name}.re": jnp.real(array), f"{name}.im": jnp.imag(array)}
+    def __init__(self, how: Evaluation, flat: Flat, source: Source, root: Float[np.ndarray, "k r"]):
+        self.how, self.flat, self.source, self.root = how, flat, source, root
+        self.first: First | None = None
+        """Derivatives by differences, where these are used."""
+        self.doubt: Float[np.ndarray, " m"] | float = 0.0
+        """Estimated error of the variance by the differences."""
+        if how.plain is None:
+            self.value, self.sensitivity, self.moved = first_derivatives(flat, source.value, root)
         else:
-            real[name] = jnp.asarray(array, dtype=float)
-    return real
+            x = source.value
+            rows = how.plain.rows(np.concatenate([x[None], x + root.T, x - root.T]))
+            self.value = rows[0]
+            self.moved = rows[1:].reshape(2, root.shape[1], -1)
+            self.sensitivity = np.full((len(self.value), len(x)), np.nan)
+        missing = ~np.isfinite(self.sensitivity)
+        if missing.any() and np.isfinite(self.value).all():
+            found = first_differences(self.batch, source.value, source.u, self.value)
+            self.first = First(
+                found.derivative, np.where(missing, found.error, 0.0), found.kink & missing
+            )
+            self.sensitivity = np.where(missing, found.derivative, self.sensitivity)
+            part = 2.0 * np.abs(self.sensitivity) * self.first.error * source.u**2
+            self.doubt = part.sum(1)
 
+    @property
+    def batch(self) -> Batch:
+        """The function of many points."""
+        if self.how.plain is not None:
+            return self.how.plain.rows
+        return lambda points: values_at(self.flat, points)
 
-def outputs_of(function: Function, inputs: Inputs) -> tuple[Output, ...]:
-    """Names and shapes of the outputs of a measurement function, in its own order.
+    def second(self, skewness: Float[np.ndarray, " r"], excess: Float[np.ndarray, " r"]) -> Taylor:
+        """The series of second order, by differences for outputs that are not finite otherwise."""
+        if self.how.plain is None:
+            taylor = second_order(self.flat, self.source.value, self.root, skewness, excess)
+            if taylor.finite.all():
+                return taylor
+            missing, parts = ~taylor.finite, (taylor.a, taylor.H, taylor.T, taylor.t)
+        else:
+            missing, parts = np.ones(len(self.value), bool), None
+        found = second_differences(self.batch, self.source.value, self.root, self.value)
+        self.doubt = np.where(missing, _doubt(found), 0.0)
+        a, H, T, t = found.a, found.H, found.T, found.t
+        if parts is not None:
+            a, H, T, t = (
+                np.where(missing.reshape(-1, *[1] * (p.ndim - 1)), q, p)
+                for p, q in zip(parts, (a, H, T, t), strict=True)
+            )
+        return Taylor(a, H, T, t, skewness, excess)
 
-    Raises `ValueError` if the function is not written in JAX, has no output, or takes an unknown
-    input, and `TypeError` for inputs that are no `Inputs`.
-    """
-    if not isinstance(inputs, Inputs):
-        raise TypeError(
-            f"inputs: found {inputs!r}, expected Inputs; write Inputs({{'x': Normal(0, 1)}}), with "
-            "a distribution for every quantity"
+    def notes(
+        self, labels: Sequence[str], u: Float[np.ndarray, " m"], taylor: Taylor
+    ) -> tuple[str, ...]:
+        """Notes on derivatives by differences."""
+        doubt = np.broadcast_to(self.doubt, u.shape)
+        numerical = self.how.plain is not None or self.first is not None or bool(doubt.any())
+        if not numerical:
+            return ()
+        if self.first is not None and self.first.kink.any():
+            at = np.argwhere(self.first.kink)[:5].tolist()
+            listed = ", ".join(f"{labels[i]} to {self.source.labels[j]}" for i, j in at)
+            return (
+                "derivatives are differences, extrapolated to a step of zero: those of both sides "
+                f"differ for {listed}, so that the function has a kink at the estimates, and the "
+                "mean of both is used; use Monte Carlo",
+            )
+        effect = np.divide(0.5 * doubt, u**2, out=np.zeros_like(u), where=u > 0.0)
+        worst = int(np.argmax(effect))
+        return (
+            "derivatives are differences, extrapolated to a step of zero: by their estimated "
+            f"error, u of {labels[worst]} may be off by {_percent(float(effect[worst]))}",
         )
-    names: list[str] = []
 
-    def in_order(x: Array) -> list[Array]:
-        # JAX would return a dictionary in alphabetical order.
-        values = named(function(inputs.unflatten(x)))
-        names.extend(values)
-        return list(values.values())
 
-    try:
-        shapes = [found.shape for found in jax.eval_shape(in_order, inputs.flat_mean)]
-    except jax.errors.JAXTypeError as error:
-        raise ValueError(
-            "the measurement function is not written in JAX: it turns a value into a plain number "
-            "or a condition; use jax.numpy, and jax.numpy.where in place of if "
-            f"({str(error).splitlines()[0]})"
-        ) from error
-    except KeyError as error:
-        name = next(iter(error.args), None)
-        if not isinstance(name, str) or name in inputs.names:
-            raise
-        raise ValueError(
-            f"the measurement function takes the input {name!r}{nearest(name, inputs.names)}, "
-            f"expected one of {', '.join(inputs.names)}; correct the name, or add it to the inputs"
-        ) from error
-    if not any(math.prod(shape) for shape in shapes):
-        raise ValueError("the measurement function gave no outputs, expected at least one")
-    return tuple(Output(name, shape) for name, shape in zip(names, shapes, strict=True))
+def _doubt(found: Second) -> Float[np.ndarray, " m"]:
+    """Bound of the error of the second-order variance of normal inputs by those of its parts."""
+    a, H, T, _ = (np.abs(part) for part in (found.a, found.H, found.T, found.t))
+    da, dH, dT, _ = found.errors
+    return (2.0 * a * da + a * dT + T * da).sum(1) + (H * dH).sum((1, 2))
+
+
+def _percent(share: float) -> str:
+    return "less than 0.01 %" if share < 1e-4 else f"{100.0 * share:.2g} %"
 
 
 def _source(inputs: Inputs, t: Literal["scale", "std"]) -> Source:
     """The inputs with their estimates, standard uncertainties and degrees of freedom by the GUM."""
     kinds = inputs.kinds
-    dof = np.asarray(inputs.dof, float)
     if t == "std":
-        covariance = np.asarray(inputs.covariance, float)
-        dof = np.where(np.isin(kinds, _SCALED), np.inf, dof)
+        numbers = inputs.flat_mean, inputs.dof, inputs.covariance
+    elif inputs.coupled:
+        numbers = inputs.flat_mean, inputs.dof, inputs.stated_covariance
     else:
-        covariance = np.asarray(inputs.stated_covariance, float)
+        program, arrays = compiled_for(_stated, (inputs,))
+        numbers = program(arrays)
+    value, dof, covariance = (np.asarray(one, float) for one in numbers)
+    if t == "std":
+        dof = np.where(np.isin(kinds, _SCALED), np.inf, dof)
     groups = _groups(inputs, covariance, dof)
-    return Source(inputs.labels, kinds, np.asarray(inputs.flat_mean), covariance, dof, groups)
+    return Source(inputs.labels, inputs.kinds, value, covariance, dof, groups)
+
+
+def _stated(inputs: Inputs) -> tuple[Array, Array, Array]:
+    return inputs.flat_mean, inputs.dof, inputs.stated_covariance
 
 
 def _groups(
@@ -229,6 +254,12 @@ def _root(source: Source) -> tuple[Float[np.ndarray, "k r"], tuple[int, ...]]:
     for group in source.independent:
         members = [i for i in group if u[i] > 0.0]
         if not members:
+            continue
+        if len(members) == 1:
+            block = np.zeros((len(u), 1))
+            block[members] = u[members]
+            columns.append(block)
+            alone.append(members[0] if len(group) == 1 else -1)
             continue
         scale = u[members]
         size, axes = np.linalg.eigh(

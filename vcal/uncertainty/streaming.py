@@ -171,7 +171,7 @@ class _Run:
             return
         if summary.steps.steps > 1:
             found = summary.steps.adaptive(summary.moments.deviation, self.digits)
-            self.settled = found.settled
+            self.settled = found.done
 
     def save(self) -> None:
         """End a chunk: write the state, if it is to be written and has changed."""

@@ -96,7 +96,9 @@ def comparison_table(comparison: Comparison, *, layout: Layout = "markdown") -> 
             apart = (float(comparison.d_low[i]), float(comparison.d_high[i]))
             verdict = comparison.verdicts[i]
             lines.append(["", method, *cells, *(_number(x, 2) for x in (delta, *apart)), verdict])
-    return laid_out(heads, "llrrrrrrrl", lines, layout=layout)
+    notes = "\n".join(f"- {note}" for note in comparison.notes)
+    table = laid_out(heads, "llrrrrrrrl", lines, layout=layout)
+    return "\n\n".join([table, *([notes] if notes else [])])
 
 
 def _cells(row: Row, combined: float, digits: int) -> list[str]:

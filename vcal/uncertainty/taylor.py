@@ -22,6 +22,7 @@ from jaxtyping import Bool, Float
 
 from ..numerics.arrays import Array
 from ..numerics.compiled import filter_jit_outermost
+from .evaluation import compiled_for
 
 Vector = Callable[[Float[Array, " k"]], Float[Array, " m"]]
 """A function from the vector of all inputs to the vector of all outputs."""
@@ -99,11 +100,17 @@ def first_order(a: Float[np.ndarray, "m r"]) -> Taylor:
 
 
 def first_derivatives(
-    function: Vector, x: Float[np.ndarray, " k"]
-) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m k"]]:
-    """Outputs at `x` and their sensitivities c = df/dx."""
-    value, jacobian = _first(function, jnp.asarray(x))
-    return np.asarray(value), np.asarray(jacobian)
+    function: Vector, x: Float[np.ndarray, " k"], root: Float[np.ndarray, "k r"]
+) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m k"], Float[np.ndarray, "2 r m"]]:
+    """Outputs at `x`, their sensitivities c = df/dx, and the outputs at x + root_i, x - root_i."""
+    program, arrays = compiled_for(_first, (function,))
+    value, jacobian, moved = program(arrays, x, root)
+    return np.asarray(value), np.asarray(jacobian), np.asarray(moved)
+
+
+def values_at(function: Vector, points: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n m"]:
+    """Outputs at many points."""
+    return np.asarray(_many(function, points))
 
 
 def second_order(
@@ -118,9 +125,19 @@ def second_order(
     return Taylor(a, H, T, t, skewness, excess)
 
 
+def _first(function: Vector, x: Array, root: Array) -> tuple[Array, Array, Array]:
+    x, root = jnp.asarray(x), jnp.asarray(root)
+    # The value does not depend on the direction, and is computed once.
+    value, jacobian = jax.vmap(lambda v: jax.jvp(function, (x,), (v,)), out_axes=(None, 1))(
+        jnp.eye(len(x))
+    )
+    moves = jnp.stack([root.T, -root.T])
+    return value, jacobian, jax.vmap(jax.vmap(lambda d: function(x + d)))(moves)
+
+
 @filter_jit_outermost
-def _first(function: Vector, x: Array) -> tuple[Array, Array]:
-    return function(x), jax.jacfwd(function)(x)
+def _many(function: Vector, points: Array) -> Array:
+    return jax.vmap(function)(jnp.asarray(points))
 
 
 @filter_jit_outermost

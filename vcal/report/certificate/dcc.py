@@ -14,8 +14,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from ...compensation.conformity import Conformity
 from ...compensation.headers import outside
+from ...numerics.conformity import Conformity
 from ...study.statements import ContactSettings
 from ...words import printable
 from ..html.provenance import versions
@@ -251,7 +251,7 @@ def _conformity(one: Certificate, found: Conformity, tolerance: float) -> Elemen
         status = "conditionalPass" if found.estimate <= tolerance else "conditionalFail"
     rule = (
         f"guarded acceptance and rejection with a risk of at most {asked.risk_percent:g} %, guard "
-        f"band {found.guard_band:.3g} um"
+        f"band {found.guard_band[1]:.3g} um"
         if asked.rule == "guarded"
         else "simple acceptance"
     )

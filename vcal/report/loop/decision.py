@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ...compensation.conformity import Conformity, Requirement, Verdict, decide
 from ...compensation.machine import IdentifiedMachine
 from ...compensation.volumetric_error import VolumetricError, volumetric_error
+from ...numerics.conformity import Conformity, Draws, Requirement, Tolerance, Verdict, decide
 from ...study.statements import AcceptanceSettings
 from ..html import text
 from ..html.picture import Picture
@@ -87,14 +87,15 @@ def decided(machine: IdentifiedMachine) -> Decided | None:
         return Decided(volumetric_error(machine), None, {}, gain)
     asked = AcceptanceSettings(**given)
     error = volumetric_error(machine, asked.draws, asked.seed)
-    rule = Requirement(asked.volumetric_um, asked.risk_percent / 100.0, asked.rule)
-    decisions = {stage: decide(getattr(error, stage).largest, rule) for stage in _STAGES}
+    limit = Tolerance(upper=asked.volumetric_um)
+    rule = Requirement(limit, asked.risk_percent / 100.0, asked.rule)
+    decisions = {stage: decide(Draws(getattr(error, stage).largest), rule) for stage in _STAGES}
     return Decided(error, asked, decisions, gain)
 
 
 def chance(one: Conformity) -> str:
     """The conformance probability as text, no finer than the number of draws shows it."""
-    if one.probability in (0.0, 1.0):
+    if one.draws is not None and one.probability in (0.0, 1.0):
         share = 100.0 * _NONE_IN / one.draws
         least = share if one.probability == 0.0 else 100.0 - share
         return f"{'below' if one.probability == 0.0 else 'above'} {least:.4g} %"
@@ -141,9 +142,9 @@ def acceptance_section(found: Decided | None) -> list[Section]:
             _STAGES[stage],
             *text.rounded(one.estimate, text.COVERAGE * one.u),
             chance(one),
-            text.number(one.guard_band),
-            text.number(one.acceptance_limit),
-            text.number(one.rejection_limit),
+            text.number(one.guard_band[1]),
+            text.number(one.acceptance[1]),
+            text.number(one.rejection[1]),
             _SHORT[one.verdict],
         )
         for stage in found.stages
@@ -242,7 +243,7 @@ def _decision_record(one: Conformity) -> dict[str, Any]:
         "standard_uncertainty_um": one.u,
         "conformance_probability": one.probability,
         "conformance_probability_u": one.u_probability,
-        "guard_band_um": one.guard_band,
-        "acceptance_limit_um": one.acceptance_limit,
-        "rejection_limit_um": one.rejection_limit,
+        "guard_band_um": one.guard_band[1],
+        "acceptance_limit_um": one.acceptance[1],
+        "rejection_limit_um": one.rejection[1],
     }
