@@ -13,7 +13,7 @@ report of an identified machine uses as well.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -215,8 +215,8 @@ def _law(result: Measured, output: str | None) -> Law:
         return _by_draws(result, _at(result.labels, output, result.index))
     if isinstance(result, Univariate):
         return _known(result)
-    if isinstance(result, np.ndarray) and np.ndim(result) == 1:
-        draws: np.ndarray = result
+    draws: Any = result
+    if isinstance(draws, np.ndarray) and draws.ndim == 1:
         return Draws(draws[np.isfinite(draws)])
     raise TypeError(
         f"result: found {type(result).__name__}, expected a result of propagate or "
