@@ -230,7 +230,7 @@ def _at(labels: tuple[str, ...], output: str | None, index: Callable[[str], int]
         raise ValueError(
             f"output: the result has {len(labels)}, {', '.join(labels[:5])}; name the one to judge"
         )
-    return index(labels[0] if output is None else output)
+    return index(next(iter(labels)) if output is None else output)
 
 
 def _by_gum(budget: Budget, i: int) -> Law:
