@@ -13,7 +13,7 @@ report of an identified machine uses as well.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -215,8 +215,8 @@ def _law(result: Measured, output: str | None) -> Law:
         return _by_draws(result, _at(result.labels, output, result.index))
     if isinstance(result, Univariate):
         return _known(result)
-    if isinstance(result, np.ndarray) and np.ndim(result) == 1:
-        draws: np.ndarray = result
+    draws: Any = result
+    if isinstance(draws, np.ndarray) and draws.ndim == 1:
         return Draws(draws[np.isfinite(draws)])
     raise TypeError(
         f"result: found {type(result).__name__}, expected a result of propagate or "
@@ -230,7 +230,7 @@ def _at(labels: tuple[str, ...], output: str | None, index: Callable[[str], int]
         raise ValueError(
             f"output: the result has {len(labels)}, {', '.join(labels[:5])}; name the one to judge"
         )
-    return index(labels[0] if output is None else output)
+    return index(next(iter(labels)) if output is None else output)
 
 
 def _by_gum(budget: Budget, i: int) -> Law:
