@@ -26,7 +26,7 @@ COMMANDS = {
     "batch_gpu": "batch.py --host-draws 3 --draws 16384 --repeats 3 --campaigns",
     "dynamics_gpu": "dynamics.py --repeats 2",
     "power": "power.py --sets 20 --jobs 2 --minutes 60",
-    "power_fresh": "power.py --first-seed 30000 --sets 4 --multiples 3 5",
+    "power_fresh": "power.py --first-seed SEED --sets 4 --multiples 3 5",
     "power_new": "power.py --first-seed 61000 --multiples 3 5",
     "smallest_sizes": "smallest_sizes.py --first-seed 43000 --sets 30",
     "several": "several.py --sets 20 --jobs 2 --minutes 60",
