@@ -655,7 +655,7 @@ def test_a_folder_that_cannot_be_made(tmp_path, small_tracker_study):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--with", "backlash:Y:size_um=1e14"), "column range_mm: found 5e+10 in the simulation"),
+        (("--with", "backlash:Y:size_um=1e14"), "found 1e+14, expected a number of at most"),
         (("--noise-factor", "1e300"), "found 1e+300, expected a number of at least 0 and at most"),
         (("--noise-factor", "nan"), "found nan, expected a number of at least 0 and at most"),
         (("--noise-factor", "1e6"), "in the simulation, expected a number from"),

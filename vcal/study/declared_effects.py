@@ -33,6 +33,9 @@ _UNIVARIATE = tuple(name for name, kind in DISTRIBUTIONS.items() if issubclass(k
 
 Catalogue = Mapping[str, type[Effect]]
 
+_BEYOND = 3.0
+"""A declared amplitude may exceed by this factor what the loop takes to be possible
+(`Parameter.largest`): an effect that it found may be declared."""
 SHAPE_BOUNDS = {
     "mm": Within(1e-3, 1e5, "no screw, rack or scale repeats within a micrometre or over 100 m"),
     "um": Within(1e-2, 1e6, "no scale repeats within 10 nm or over a metre"),
@@ -492,8 +495,9 @@ def bound_of(p: Parameter) -> Within | None:
         return SHAPE_BOUNDS.get(p.unit) if p.coordinate != "linear" else TIME_BOUNDS.get(p.unit)
     if not p.informed or not p.sigma > 0.0:
         return None
-    most = abs(p.mean) + p.largest * p.sigma
-    return Within(-most, most, f"{p.largest:g} times the expected size is no error of this kind")
+    times = _BEYOND * p.largest
+    most = abs(p.mean) + times * p.sigma
+    return Within(-most, most, f"{times:g} times the expected size is no error of this kind")
 
 
 def _priors(
@@ -533,16 +537,17 @@ def _priors(
             )
         try:
             prior = Prior(name, distribution(kind, **{k: v for k, v in law.items() if k != _KIND}))
+            mean, sigma = float(prior.mean[0]), float(prior.sigma[0])
         except (StudyError, ValueError) as error:
             raise where.refusal(
                 key, f"{shown(law)}, which cannot be used", str(error), "correct it"
             ) from error
-        for number in (prior.mean[0], prior.sigma[0]):
-            _check_size(key, float(number), names[key], where)
-        if random and prior.mean[0] != 0.0:
+        for number in (mean, sigma):
+            _check_size(key, number, names[key], where)
+        if random and mean != 0.0:
             raise where.refusal(
                 key,
-                f"a distribution with the mean {prior.mean[0]:g}",
+                f"a distribution with the mean {mean:g}",
                 "the mean zero, as this effect is a scatter",
                 "centre the distribution",
             )
