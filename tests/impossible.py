@@ -480,11 +480,10 @@ COLUMNS = [
 ]
 """Kind, table, column, and its numbers from those that it has, or the number of a new column."""
 
+_TILT = 'name="thermal_tilt", placement="Y", component="EAY", k_EAY_urad_per_K=-6000'
 ACCEPTED = {
-    'model.effect=[{name="thermal_tilt", placement="Y", component="EAY", k_EAY_urad_per_K=-6000}]': (
-        "within three times what the loop takes to be possible, as wrong units of a temperature "
-        "make tilts of this size"
-    ),
+    f"model.effect=[{{{_TILT}}}]": "within three times what the loop takes to be possible: wrong "
+    "units of a temperature make tilts of this size",
 }
 """Declarations that are not refused, by their text, and why."""
 
