@@ -226,6 +226,27 @@ def test_a_cluster_that_is_not_there(study, tmp_path, monkeypatch):
     assert "pip install 'vcal[cluster]'" in said
 
 
+def test_a_report_that_was_written_before_an_interruption_counts(tmp_path, monkeypatch):
+    """Its process had no time to tell of it."""
+    jobs = jobs_of([tmp_path / "a", tmp_path / "b"], tmp_path / "out", Settings())
+    earlier, new = (member(tmp_path, name, seconds=2.5) for name in "ab")
+
+    def written(one, job):
+        job.out.mkdir(parents=True)
+        (job.out / "report.json").write_text(json.dumps(one.content), encoding="utf-8")
+
+    def interrupted(work, jobs, workers):
+        written(new, jobs[1])
+        raise KeyboardInterrupt
+        yield
+
+    written(earlier, jobs[0])
+    monkeypatch.setattr("vcal.fleet.fleet.in_processes", interrupted)
+    found = close_fleet([job.setup for job in jobs], tmp_path / "out")
+    assert found.interrupted and [one.status for one in found.members] == ["not begun", "closed"]
+    assert found.members[1].content == new.content and found.members[1].seconds == 2.5
+
+
 @pytest.mark.slow
 @posix
 def test_killed_broken_and_interrupted_studies_lose_nothing(study, tmp_path, programs):

@@ -12,7 +12,7 @@ from ..study.messages import refusal
 from .dask import in_cluster
 from .index import write_index
 from .jobs import jobs_of
-from .one_study import Job, Member, Settings, close_one
+from .one_study import RECORD, Job, Member, Settings, close_one, content_of
 
 _REWRITTEN_S = 10.0
 """Least time between two versions of the list while studies are closed."""
@@ -58,6 +58,7 @@ def close_fleet(
     jobs = jobs_of([Path(one) for one in setups], out, settings)
     members = [Member(job, "not begun") for job in jobs]
     write_index(members, out, command=command)  # `out` is checked before the work, not after it
+    before = [_written(job) for job in jobs]
     work = functools.partial(close_one, settings=settings)
     written = time.monotonic()
     results = (
@@ -74,8 +75,22 @@ def close_fleet(
                 written = time.monotonic()
     except KeyboardInterrupt:
         interrupted = True
+        # A report may be complete whose process had not told of it.
+        for index, (member, earlier) in enumerate(zip(members, before, strict=True)):
+            if member.status == "not begun" and _written(member.job) not in (None, earlier):
+                content = content_of(member.job.out)
+                seconds = content.get("seconds", 0.0)
+                members[index] = Member(member.job, "closed", seconds=seconds, content=content)
     page = write_index(members, out, command=command, interrupted=interrupted)
     return Fleet(tuple(members), page, interrupted)
+
+
+def _written(job: Job) -> int | None:
+    """When the report of a study was written, in nanoseconds; None where there is none."""
+    try:
+        return (job.out / RECORD).stat().st_mtime_ns
+    except OSError:
+        return None
 
 
 def _members(
