@@ -397,7 +397,7 @@ def test_what_would_tell_an_effect_from_what_it_may_be(own, rival, theirs, expec
     """Nothing can be varied independently of itself."""
     other = SimpleNamespace(effect=SimpleNamespace(name=rival, placement="X", indicators=theirs))
     best = SimpleNamespace(effect=SimpleNamespace(indicators=own))
-    weighed = Weighed(best, 0.3, [], [(rival, "X", 0.7)], instead=((0.7, other),))
+    weighed = Weighed(best, 0.3, [], [(rival, "X", 0.7)], 9.0, instead=((0.7, other),))
     assert _separation(weighed, ("X", "Y", "Z")) == expected
 
 

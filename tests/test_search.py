@@ -14,6 +14,7 @@ from vcal import CATALOGUE, Effect, Measurement, Parameter, Prior, close_loop, i
 from vcal.distributions import Normal
 from vcal.effects.reference import with_free_reference
 from vcal.loop.close_loop import still_rejected
+from vcal.loop.empirical import EMPIRICAL
 from vcal.loop.outcome.closure import FoundEffect, Rejected
 from vcal.loop.outcome.unexplained import from_structure
 from vcal.loop.residuals.dependence import dependence
@@ -22,7 +23,7 @@ from vcal.loop.screening.candidates import candidates
 from vcal.loop.screening.responses import Responses
 from vcal.loop.screening.score_test import Peak, ScoreTest
 from vcal.loop.screening.screening import screen
-from vcal.loop.search.certainty import doubted
+from vcal.loop.search.certainty import chance, doubted, odds_of_kinds
 from vcal.loop.search.forward_selection import Added
 from vcal.loop.search.round import shortlist, unlikely
 from vcal.loop.search.search import Search
@@ -556,6 +557,23 @@ def test_an_effect_of_which_the_readings_say_nothing_is_not_named(tracker):
     blind.jacobian[:, fit.places_of(len(fit.model.effects) - 1)[0]] *= 1e-6
     less = doubted(found, blind, None, [])
     assert less.status == "ambiguous" and "poorly determine its size" in less.separation
+    # Three names that are four times as probable together as that nothing is missing.
+    assert chance(np.log(12.0), 3.0) == pytest.approx(0.2) and chance(800.0, 56.0) == 0.0
+    lucky = doubted(dataclasses.replace(found, chance=0.2, probability=0.99), fit, None, [])
+    assert lucky.status == "ambiguous" and "probability of 20 % it is chance" in lucky.separation
+    sure = dataclasses.replace(found, chance=0.02, probability=0.98)
+    assert doubted(sure, fit, None, []) is sure
+
+
+def test_the_prior_odds_of_all_kinds(tracker):
+    """Empirical descriptions have none beside effects."""
+    fit = identify(tracker.model, noisy(tracker, 5), room=tracker.room)
+    kinds = [CATALOGUE[name] for name in ("backlash", "warm_up")]
+    tried, _ = candidates(tracker.model, fit.measurement, kinds)
+    bumps, _ = candidates(tracker.model, fit.measurement, EMPIRICAL[:1], tried, fit)
+    screening = screen(ScoreTest(fit, 20, 1), [*tried, *bumps[:2]])
+    assert {kind.kind for kind in screening.kinds} == {"backlash", "warm_up", bumps[0].name}
+    assert odds_of_kinds(screening) == 1.0 + CATALOGUE["warm_up"].odds == 1.2
 
 
 @pytest.mark.thorough

@@ -33,7 +33,7 @@ from .outcome.unexplained import from_structure
 from .residuals.vibration import vibration
 from .screening.candidates import UntestableError
 from .screening.screening import Screening
-from .search.certainty import doubted, hinted, jump_time_uncertainty
+from .search.certainty import chance, doubted, hinted, jump_time_uncertainty, odds_of_kinds
 from .search.forward_selection import Added, place_of
 from .search.initial_shapes import initial_shapes
 from .search.search import Search
@@ -210,9 +210,11 @@ def _undecided(effect: FoundEffect) -> bool:
 
 
 def _found(
-    item: Added, after: Fit, state: State, classes: Sequence[Shapes], room: int
+    item: Added, after: Fit, state: State, classes: Sequence[Shapes], room: int, odds: float
 ) -> FoundEffect:
-    """The report of an added effect, with its parameters from the final fit."""
+    """The report of an added effect, with its parameters from the final fit. `odds` are the prior
+    odds of all kinds that were tried.
+    """
     effect, weighed = item.effect, item.weighed
     place = place_of(item, after.model.effects)
     stepped = jump_time_uncertainty(state, place, room)
@@ -235,6 +237,7 @@ def _found(
         ],
         p_value=item.p_value,
         probability=weighed.probability,
+        chance=chance(weighed.log_odds, odds),
         log_evidence=weighed.best.log_bayes,
         delta_bic=weighed.best.delta_bic,
         heldout_gain=item.gain,
@@ -289,7 +292,8 @@ def _finish(
     nominal = _nominal(model, state, run.room)
     noise, scales = reported_noise_scales(state)
     after = at_noise_found(state, run.room)
-    found = [_found(item, after, state, classes, run.room) for item in run.added(state)]
+    odds = odds_of_kinds(run.screenings[0]) if run.screenings else 1.0
+    found = [_found(item, after, state, classes, run.room, odds) for item in run.added(state)]
     found = [doubted(effect, state.fit, run.unexplained, run.untestable) for effect in found]
     found = [hinted(effect, state.fit, run.unexplained) for effect in found]
     alternatives = [

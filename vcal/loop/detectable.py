@@ -31,6 +31,7 @@ from .screening.score_test import ScoreTest, Tested
 from .screening.screening import Screening
 from .screening.size_evidence import mixture_terms
 from .screening.spanned import Spanned, spanned
+from .search.certainty import odds_of_kinds
 from .weighing.weighing import CERTAIN, DISTINGUISHABLE
 
 PROBABILITY = 0.95
@@ -160,6 +161,8 @@ class _Steps:
         """Log of the share of its grid that a step stands for."""
         self.member = np.array(self._member, int)
         self.keys = np.array([tested[member].effect.key for member in self._member])
+        self.nothing = odds_of_kinds(screening)
+        """Prior odds that nothing more is missing."""
         self.log_prior = np.array([_log_prior(one.effect, screening) for one in tested])
         self.parameters = np.array(
             [len(with_known_reference(one.effect).parameters) for one in tested]
@@ -271,8 +274,8 @@ class _Outcomes:
         )
         apart = np.isin(steps.names, steps.keys[[*self._strong, *faint]])
         by_chance = np.sort(steps.by_chance[~apart], axis=0)
-        self._others = by_chance[-_WEIGHED:].sum(0)
-        """Odds of those that are evaluated once, or by chance (draws)."""
+        self._others = by_chance[-_WEIGHED:].sum(0) + steps.nothing
+        """Odds of those that are evaluated once, or by chance, and of no further effect (draws)."""
 
     def _nearest(self, own: str) -> tuple[list[int], list[int]]:
         """The steps that explain most, the best of every other name: those that are evaluated at

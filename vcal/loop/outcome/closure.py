@@ -91,6 +91,9 @@ class FoundEffect:
     needed."""
     probability: float = 1.0
     """Of its name, among all rivals."""
+    chance: float = 0.0
+    """Probability that no further effect is missing, where it is as probable beforehand as that one
+    of the kinds that were tried is."""
     hint: str = ""
     """Reason why it is a hint only: no more likely than its rivals together, no value above its
     uncertainty, or less than what is left unexplained. Empty for an effect that counts as found."""

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import expit
 
 from ...effects.data_set import OfDataSet
 from ...effects.geometric import GeometricErrors
@@ -12,11 +13,14 @@ from ...effects.reference import with_known_reference
 from ...geometry.compensated import machine_terms
 from ...identification.fit import POORLY_DETERMINED, Fit, declared_chi2
 from ...instruments.conditions import file_column
+from ..empirical.base import Empirical
 from ..outcome.closure import FoundEffect
 from ..outcome.unexplained import Unexplained
 from ..screening.candidates import Untestable
 from ..screening.score_test import ScoreTest
+from ..screening.screening import Screening
 from ..weighing.rivals import impossible_sizes
+from ..weighing.weighing import CERTAIN
 from .state import State, without
 
 _LIKELY, _COVERAGE = 0.5, 2.0
@@ -35,8 +39,8 @@ def doubted(
 
     Such reasons are a larger unexplained residual that depends on the same covariate, a shape
     parameter outside its grid, an effect that could not be tested, an amplitude that is poorly
-    determined, a size that is physically impossible, and an effect no larger than what the model
-    neglects of a far larger one.
+    determined, a size that is physically impossible, an effect no larger than what the model
+    neglects of a far larger one, and the probability that nothing more is missing.
     """
     if found.status != "named":
         return found
@@ -48,6 +52,7 @@ def doubted(
         or poorly_determined(fit, place)
         or impossible_size(fit, place)
         or second_order(fit, place)
+        or by_chance(found)
     )
     return replace(found, status="ambiguous", separation=why) if why else found
 
@@ -75,6 +80,39 @@ def hinted(found: FoundEffect, fit: Fit, rest: Unexplained | None) -> FoundEffec
             # Its name may be certain all the same.
             return replace(found, hint="it explains less than what is left unexplained")
     return replace(found, hint=why, status="ambiguous") if why else found
+
+
+def odds_of_kinds(screening: Screening) -> float:
+    """Sum of the prior odds of all kinds of effects in a screening (`Effect.odds`), without
+    empirical descriptions: the prior odds of the present model against any one kind of odds 1.
+
+    Beforehand, something of the catalogue is then missing with a probability of one half, whatever
+    the number of kinds that it has.
+    """
+    effects = [kind.peaks[0].effect for kind in screening.kinds if kind.peaks]
+    return math.fsum(e.odds for e in effects if not isinstance(e, Empirical))
+
+
+def chance(log_odds: float, kinds: float) -> float:
+    """Posterior probability that no further effect is missing, from the log odds of all names
+    together (`Weighed.log_odds`) and the prior odds of all kinds (`odds_of_kinds`).
+    """
+    return float(expit(math.log(kinds) - log_odds))
+
+
+def by_chance(found: FoundEffect) -> str:
+    """Reason where the probability of the name falls below that of a certain one when it is shared
+    with the present model, in which nothing more is missing.
+
+    An effect that is significant at 1 % may still be only a few times as probable as that nothing
+    is missing (Sellke, Bayarri and Berger 2001): many kinds were tried.
+    """
+    if found.probability * (1.0 - found.chance) >= CERTAIN:
+        return ""
+    return (
+        f"with a probability of {100.0 * found.chance:.0f} % it is chance, and nothing more is "
+        "missing: measure again where it would be large"
+    )
 
 
 def part_of_unexplained(fit: Fit, place: int, rest: Unexplained | None) -> str:

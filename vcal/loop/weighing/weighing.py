@@ -40,6 +40,9 @@ class Weighed:
     """Names that cannot be distinguished from the best with these data."""
     alternatives: list[tuple[str, str, float]]
     """(identifier, placement, probability) of the others."""
+    log_odds: float
+    """Log of the posterior odds of all names together against the model without any of them, where
+    every kind has prior odds of one against that model."""
     other_shapes: list[tuple[dict[str, float], float]] = field(default_factory=list)
     """Other shapes (SI) that the best may have, with their probability."""
     instead: tuple[tuple[float, Rival], ...] = ()
@@ -295,6 +298,7 @@ def weigh(
             if p > _LEAST
             for lead in [next(r.effect for r in members_of[k] if r.effect.key == k)]
         ],
+        log_odds=top + math.log(total),
         other_shapes=[
             (dict(rival.fit.shapes[len(rival.fit.model.effects) - 1]), share)
             for rival in members_of[key]

@@ -266,6 +266,7 @@ def _effect(closure: Closure, found: FoundEffect) -> dict[str, Any]:
         "status": found.status,
         "found": not found.hint,
         "probability": found.probability,
+        "chance": found.chance,
         "p_value": found.p_value,
         "log_evidence": found.log_evidence,
         "delta_bic": found.delta_bic,
