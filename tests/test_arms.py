@@ -192,7 +192,7 @@ def test_effects_of_time_by_pose_are_those_of_time(tmp_path):
                 np.testing.assert_allclose(values, per * np.asarray(theirs[key]), atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_reflector_that_slipped_by_millimetres_hides_nothing(tmp_path):
     """250 standard deviations of what a jump is expected to be, with a joint that yields."""
     yields = {"effect": "joint_compliance", "joint": 1, "coefficient": 1.5e-4}

@@ -804,9 +804,11 @@ def test_an_output_that_cannot_be_written(small_tracker_study, monkeypatch):
     assert told == "vcal: /nowhere/out: Permission denied\n"
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_demo(tmp_path):
-    """The first thing a user runs: in a process of its own, in an empty folder."""
+    """The first thing a user runs: in a process of its own, in an empty folder. `.ci/run` has it
+    from the README.
+    """
     cache = tmp_path / "cache"
     (tmp_path / "work").mkdir()
     found = process("demo", cwd=tmp_path / "work", VCAL_NO_CACHE="", XDG_CACHE_HOME=str(cache))

@@ -259,7 +259,7 @@ def expected_covariance(plan, centres, lengths, flat):
     return np.linalg.inv(H[:k, :k] - H[:k, k:] @ np.linalg.pinv(H[k:, k:], 1e-12) @ H[k:, :k])
 
 
-@pytest.mark.parametrize("flat", [False, True])
+@pytest.mark.parametrize("flat", [False, pytest.param(True, marks=pytest.mark.thorough)])
 def test_the_covariance_by_plain_numpy(planned, flat):
     text = SETUP.replace("length_u_um = 0.5\n", "") if flat else SETUP
     (planned / "setup.toml").write_text(text, encoding="utf-8")
@@ -286,7 +286,11 @@ def test_the_covariance_by_plain_numpy(planned, flat):
 
 
 @pytest.mark.parametrize(
-    "goal", ["determinant", pytest.param("volume", marks=pytest.mark.campaign)]
+    "goal",
+    [
+        pytest.param("determinant", marks=pytest.mark.thorough),
+        pytest.param("volume", marks=pytest.mark.campaign),
+    ],
 )
 def test_gradient_against_finite_differences(planned, goal):
     _, task = task_of(planned, *FREE, f"design.goal={goal}")

@@ -456,6 +456,7 @@ def test_written_twice(designed, few_poses, tmp_path):
     assert (out / "plan.csv").read_text() == (designed[0] / "plan.csv").read_text()
 
 
+@pytest.mark.thorough
 def test_a_plan_that_was_filled_in_is_not_replaced(designed, few_poses, tmp_path):
     """Known before the work, for another design and for the next measurement alike."""
     out = tmp_path / "again"

@@ -239,6 +239,7 @@ def assert_close(found, expected, atol=2e-5):
     np.testing.assert_allclose(found / size, expected / size, atol=atol)
 
 
+@pytest.mark.slow
 def test_the_covariance_by_plain_numpy(turned):
     _, task = task_of(turned, *ROOM)
     space, compiled = task.space, Compiled(task)

@@ -84,6 +84,7 @@ def test_the_command_of_one_report(tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_a_report_is_kept_while_it_is_up_to_date(study, tmp_path, no_pictures):
     job = Job(study, "tracker", tmp_path / "report", "vcal loop ...")
     first = close_one(job, Settings())

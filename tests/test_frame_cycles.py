@@ -70,6 +70,7 @@ def test_the_parts_are_those_of_the_budget(place, path):
 # --- beam by beam ---
 
 
+@pytest.mark.thorough
 def test_the_evaluation_gives_back_what_was_put_in():
     """Machines with one straightness, positioning error, squareness or roll, exact kinematics."""
     layout = Layout.named("planar")

@@ -32,7 +32,7 @@ def with_prior(effect, prior):
     return dataclasses.replace(effect, given=(), priors=(prior,))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_agrees_with_exact_draws(tracker):
     """With a backlash that is not fitted and uniform, scatter of every position, and results that
     are no linear function of the parameters.

@@ -102,7 +102,7 @@ def test_screw_tables_against_numpy(backlashed):
 @pytest.mark.parametrize(
     ("kind", "name"),
     [  # a drive takes two minutes: the one with everything, and on demand the others
-        pytest.param("tilting", "linuxcnc", marks=pytest.mark.slow),
+        pytest.param("tilting", "linuxcnc", marks=pytest.mark.thorough),
         pytest.param("tilting", "linuxcnc-screw", marks=pytest.mark.campaign),
         pytest.param("backlashed", "linuxcnc", marks=pytest.mark.campaign),
         pytest.param("backlashed", "linuxcnc-screw", marks=pytest.mark.campaign),

@@ -138,6 +138,7 @@ def test_an_arm_with_errors_is_identified(convention, tmp_path):
     assert np.sqrt(np.mean((readings[:, :3] - places) ** 2)) < 30e-6
 
 
+@pytest.mark.thorough
 def test_the_declared_covariance_is_that_of_the_correlation(tmp_path):
     folder, *_ = write(tmp_path / "a")
     study = load_study(folder)

@@ -101,7 +101,7 @@ def test_a_growing_head_is_named_without_a_rival():
     assert closure.errors["after"].chi2_per_dof == pytest.approx(1.0, abs=0.15)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_matrix_of_crosstalk():
     closure = closed(DATA / "practice" / "08_rtest_crosstalk")
     assert closure.verdict == "named" and named(closure) == ["acceleration_crosstalk"]
@@ -112,7 +112,7 @@ def test_a_matrix_of_crosstalk():
         assert abs(value - true[i][j]) <= 2 * u
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_quadrant_peaks_beside_a_declared_matrix():
     closure = closed(DATA / "practice" / "09_rtest_reversal")
     assert closure.verdict == "named" and named(closure) == ["reversal_spike"]

@@ -168,6 +168,7 @@ def test_certified_values_are_found(solved, start, least):
     assert len(good) >= least, sorted(set(MODELS) - good)
 
 
+@pytest.mark.thorough
 def test_nothing_is_silently_wrong(solved):
     lies = [key for key, it in solved.items() if it[2].converged and it[0] < 8]
     assert not lies
