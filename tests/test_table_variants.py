@@ -14,9 +14,9 @@ from conftest import MACHINE, TRACKER
 from table_files import fixed, ods, rows_of, text, tracker, xlsx
 from vcal.errors import StudyError
 from vcal.study.csv_table import Table
+from vcal.study.declared_chain import build_chain
 from vcal.study.folder import Folder
 from vcal.study.settings import table_formats, validate
-from vcal.study.study import build_chain
 from vcal.study.tables import run_table
 from vcal.study.toml_file import read_setup
 

@@ -34,12 +34,13 @@ from ..report.loop.could_be_seen import why
 from ..report.loop.derived import FEW, Listed, declared, in_short, missing_columns, parameters
 from ..study import Study
 from ..study.csv_table import Table as CsvTable
+from ..study.data_sets import DataSet
 from ..study.declared_effects import choices
 from ..study.messages import listed as in_list
 from ..study.messages import shown
 from ..study.observed_errors import observed_errors
 from ..study.reading.text import PLAIN
-from ..study.study import DataSet, looked_for
+from ..study.study import looked_for
 from ..study.unseen_errors import determined_errors
 from ..words import counted, plural, printable, three_digits
 

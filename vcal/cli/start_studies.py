@@ -15,11 +15,11 @@ from ..files import write_file
 from ..machine.plan import Plan
 from ..registry import nearest
 from ..study import load_study
+from ..study.declared_chain import build_chain
 from ..study.declared_effects import beside
 from ..study.folder import Folder, made_whole, require_empty
 from ..study.messages import listed
 from ..study.settings import StudySettings, table_formats, validate
-from ..study.study import build_chain
 from ..study.tables import run_table
 from ..study.toml_file import read_setup
 

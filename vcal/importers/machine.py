@@ -10,10 +10,10 @@ import numpy as np
 import tomli_w
 
 from ..instruments.conditions import ROTARY
+from ..study.declared_chain import build_chain
 from ..study.folder import Folder
 from ..study.messages import refusal
 from ..study.settings import MachineSettings, validate
-from ..study.study import build_chain
 from ..study.toml_file import read_setup
 from .base import Machine, Needs
 

@@ -25,11 +25,13 @@ from ..model.declared_noise import declared_whitener
 from ..model.forward import Model, compared_with_jacobian
 from ..model.measurement import Measurement
 from .csv_table import Table
+from .data_sets import DataSet, together
+from .declared_chain import build_chain
 from .folder import Folder
 from .geometric_family import geometric_errors
 from .messages import listed, refusal
 from .settings import MachineSettings
-from .study import DataSet, Study, build_chain, together
+from .study import Study
 
 _INCH, _DEG = 25.4, math.degrees(1.0)
 _UNITS = {

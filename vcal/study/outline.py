@@ -16,10 +16,10 @@ from ..instruments.several import with_tool
 from ..machine.chain import Chain
 from ..words import printable
 from .consent import require_inside
+from .declared_chain import build_chain
 from .folder import Folder
 from .plugins.instruments import instrument_class, readings_of
 from .settings import AnySettings, StudySettings, validate
-from .study import build_chain
 from .tables import run_table
 from .toml_file import read_setup
 

@@ -19,12 +19,13 @@ from ..instruments.conditions import file_name, inside_name, linear_plan, linear
 from ..model.forward import Model
 from ..model.simulate import Simulated, scattered, simulate
 from .csv_table import Table, write_table
+from .data_sets import DataSet
 from .declared_effects import Catalogue, beside, declared_effects, unknown_effect
 from .folder import made_whole, require_empty
 from .messages import refusal, shown
 from .own_format import own_name, with_own_tables
 from .settings import COMPUTABLE, EffectSettings, computable
-from .study import DataSet, Study
+from .study import Study
 from .toml_file import read_setup
 
 _CHECK_ROWS = 400

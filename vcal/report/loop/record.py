@@ -22,8 +22,9 @@ from ...loop.screening.candidates import Untestable
 from ...loop.weighing.cross_validation import Rms
 from ...machine.plan import Plan
 from ...plots import column_of
+from ...study.data_sets import DataSet
 from ...study.identified_machine import stated_of
-from ...study.study import DataSet, Study
+from ...study.study import Study
 from ..html.provenance import plain, provenance_record
 from .computed import computed_record
 from .could_be_seen import could_be_seen_record

@@ -12,7 +12,8 @@ from ...geometry.circular_deviations import CircularDeviations
 from ...geometry.circular_tests import CircularTest, circular_tests
 from ...instruments.double_ball_bar import DoubleBallBar
 from ...loop.outcome.closure import Closure
-from ...study.study import DataSet, Study
+from ...study.data_sets import DataSet
+from ...study.study import Study
 from ..html import text
 from ..html.sheet import Section, Table
 
