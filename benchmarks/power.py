@@ -220,6 +220,8 @@ def one_set(entry, multiple: float, seed: int, limits: dict) -> dict:
         {
             "key": e.effect.key,
             "status": e.status,
+            "chance": float(f"{e.chance:.3g}"),
+            "perhaps_chance": e.perhaps_chance,
             "parameters": {name: float(f"{v:.4g}") for name, v, _, _ in e.parameters},
             "equivalent": e.equivalent,
             "probability": round(1.0 - sum(p for *_, p in e.alternatives), 4),

@@ -43,11 +43,16 @@ def is_of(key: str, found: dict) -> bool:
     return key == found["key"] or key in found["equivalent"]
 
 
+def named(line: dict) -> list[dict]:
+    """What the loop found, without hints of what is as likely chance (`FoundEffect`)."""
+    return [found for found in line["found"] if not found.get("perhaps_chance")]
+
+
 def outcome(line: dict) -> str:
     """One of OUTCOMES."""
     if line["verdict"] in ("failed", "not detectable"):
         return line["verdict"]
-    truth, found = [t[0] for t in line["truth"]], line["found"]
+    truth, found = [t[0] for t in line["truth"]], named(line)
     if not found:
         return "unexplained" if line["verdict"] == "unexplained" else "nothing"
     off = [f for f in found if not any(is_of(key, f) for key in truth)]
@@ -72,24 +77,24 @@ def other_component(line: dict) -> bool:
     return any(
         f["key"] == key and wanted and not set(wanted) & set(f["parameters"])
         for key, *wanted in line["truth"]
-        for f in line["found"]
+        for f in named(line)
     ) and not any(
         f["key"] == key and set(wanted) & set(f["parameters"])
         for key, *wanted in line["truth"]
-        for f in line["found"]
+        for f in named(line)
     )
 
 
 def listed_as_rival(line: dict) -> bool:
     """Whether every true effect is among the alternatives that the loop lists."""
-    rivals = {name for f in line["found"] for name, _ in f["rivals"]}
-    return all(key in rivals or any(is_of(key, f) for f in line["found"])
+    rivals = {name for f in named(line) for name, _ in f["rivals"]}
+    return all(key in rivals or any(is_of(key, f) for f in named(line))
                for key, *_ in line["truth"])  # fmt: skip
 
 
 def something_else_too(line: dict) -> bool:
     """Whether all right names are found, and a wrong one beside them."""
-    truth, found = [t[0] for t in line["truth"]], line["found"]
+    truth, found = [t[0] for t in line["truth"]], named(line)
     return outcome(line) in {"wrong", "another first"} and all(
         any(is_of(key, f) for f in found) for key in truth
     )
@@ -245,12 +250,12 @@ def curve_rows(lines: Sequence[dict], instrument: str) -> dict:
 def clean_row(lines: list[dict], group: str, instrument: str) -> dict:
     """False alarms of an instrument in sets where nothing is missing."""
     found = Counter(map(outcome, lines))
-    named = sum(bool(x["found"]) for x in lines)
+    count = sum(bool(named(x)) for x in lines)
     return {
         "instrument": instrument,
         "group": group,
         "sets": len(lines),
-        "named": named,
+        "named": count,
         "unexplained": found["unexplained"],
         "p_below_alpha": sum(x["p"] <= 0.01 for x in lines),
         "strays": sum("strays" in x for x in lines),
@@ -265,7 +270,7 @@ def undisturbed(lines: Sequence[dict]) -> dict[tuple[str, float, int], dict]:
 
 def verdict_of(line: dict) -> tuple[str, list[str]]:
     """The verdict and the names that were found."""
-    return line["verdict"], [f["key"] for f in line["found"]]
+    return line["verdict"], [f["key"] for f in named(line)]
 
 
 def stray_row(
@@ -330,7 +335,7 @@ def summary(lines: Sequence[dict], p_without: Callable[[dict], float]) -> dict:
     return {
         "not_detectable": sum(x["verdict"] == "not detectable" for x in lines),
         "summary": {
-            "clean_named": counts((bool(x["found"]) for x in nothing), nothing),
+            "clean_named": counts((bool(named(x)) for x in nothing), nothing),
             "clean_unexplained": share(nothing, {"unexplained"}),
             "far_right": share(seen, CERTAIN),
             "far_wrong": share(seen, {"wrong"}),
@@ -349,7 +354,7 @@ def summary(lines: Sequence[dict], p_without: Callable[[dict], float]) -> dict:
             "warming_right": share(warming, CERTAIN),
             "warming_wrong": share(warming, {"wrong"}),
             "warming_listed": counts(
-                (bool(x["found"]) and listed_as_rival(x) for x in warming), warming
+                (bool(named(x)) and listed_as_rival(x) for x in warming), warming
             ),
             "warming_told_apart": counts(map(distinguished, other), other),
             "far_error_ratio": median(ratios),

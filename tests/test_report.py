@@ -890,6 +890,21 @@ def test_a_noise_declared_wrong_by_one_factor_comes_first(closed, scale, uneven,
         assert "The declared model lacked" in found.sentence
 
 
+def test_what_is_as_likely_chance_is_a_hint(closed):
+    closure = closed[2]
+    (own,) = closure.effects
+    lucky = dataclasses.replace(own, placement="Z", chance=0.6, hint="why", status="ambiguous")
+    assert lucky.perhaps_chance and not own.perhaps_chance
+    beside = dataclasses.replace(closure, effects=[own, lucky], unexplained=None)
+    assert beside.sentence.startswith(
+        "The declared model lacked backlash Y; there is a hint of backlash Z."
+    )
+    alone = dataclasses.replace(beside, effects=[lucky], verdict="ambiguous")
+    assert alone.sentence.startswith(
+        "There is a hint of backlash Z, but it is as likely that the declared model lacks nothing."
+    )
+
+
 def test_many_declared_values_are_told_in_short(closed, monkeypatch, capsys):
     """In one line where commands print, and folded on the page."""
     _, study, closure = closed

@@ -23,7 +23,7 @@ from vcal.loop.screening.candidates import candidates
 from vcal.loop.screening.responses import Responses
 from vcal.loop.screening.score_test import Peak, ScoreTest
 from vcal.loop.screening.screening import screen
-from vcal.loop.search.certainty import chance, doubted, odds_of_kinds
+from vcal.loop.search.certainty import chance, doubted, hinted, odds_of_kinds
 from vcal.loop.search.forward_selection import Added
 from vcal.loop.search.round import shortlist, unlikely
 from vcal.loop.search.search import Search
@@ -563,6 +563,10 @@ def test_an_effect_of_which_the_readings_say_nothing_is_not_named(tracker):
     assert lucky.status == "ambiguous" and "probability of 20 % it is chance" in lucky.separation
     sure = dataclasses.replace(found, chance=0.02, probability=0.98)
     assert doubted(sure, fit, None, []) is sure
+    assert not lucky.perhaps_chance and not hinted(lucky, fit, None).hint
+    chancy = hinted(dataclasses.replace(lucky, chance=0.6), fit, None)
+    assert chancy.perhaps_chance
+    assert chancy.hint == "with a probability of 60 % nothing more is missing"
 
 
 def test_the_prior_odds_of_all_kinds(tracker):

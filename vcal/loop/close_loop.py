@@ -305,9 +305,10 @@ def _finish(
     if described is not None:
         alternatives.append(Alternatives(state.scored, ((1.0, described.fit),)))
     verdict: Verdict | None = None if interrupted else "nothing_missing"
+    likely = [item for item in found if not item.perhaps_chance]
     if run.unexplained is not None:
         verdict = "unexplained"
-    elif any(item.status == "ambiguous" for item in found):
+    elif any(item.status == "ambiguous" for item in likely or found):
         verdict = "ambiguous"
     elif found:
         verdict = "named"

@@ -26,6 +26,8 @@ from ..weighing.cross_validation import Rms
 from .misdeclared import Misdeclared
 from .unexplained import Unexplained, way
 
+LIKELY = 0.5
+"""Probability above which an effect counts as found."""
 Verdict = Literal["nothing_missing", "named", "ambiguous", "unexplained"]
 
 
@@ -95,13 +97,19 @@ class FoundEffect:
     """Probability that no further effect is missing, where it is as probable beforehand as that one
     of the kinds that were tried is."""
     hint: str = ""
-    """Reason why it is a hint only: no more likely than its rivals together, no value above its
-    uncertainty, or less than what is left unexplained. Empty for an effect that counts as found."""
+    """Reason why it is a hint only: no more likely than its rivals and chance together, no value
+    above its uncertainty, or less than what is left unexplained. Empty for an effect that counts as
+    found."""
     shapes: tuple[Mapping[str, float], ...] = ()
     """Values of its shape parameters, in their units, that the readings cannot distinguish, the
     most probable first; empty where there is one only. The model holds their mean
     (`vcal.effects.shape_class`), and two standard uncertainties of a shape parameter reach all of
     them."""
+
+    @property
+    def perhaps_chance(self) -> bool:
+        """Whether it is no more likely than not only because nothing more may be missing."""
+        return self.probability > LIKELY >= self.probability * (1.0 - self.chance)
 
     @property
     def joint(self) -> bool:
@@ -397,7 +405,13 @@ class Closure:
         if self.verdict == "nothing_missing":
             return "The declared model explains the measurement: nothing was found that it lacks."
         if self.verdict == "named":
-            return f"The declared model lacked {listed}."
+            more = f"; there is a hint of {_and(hints)}" if hints else ""
+            return f"The declared model lacked {listed}{more}."
+        if self.verdict == "ambiguous" and all(one.perhaps_chance for one in self.effects):
+            return (
+                f"There is a hint of {_and(hints)}, but it is as likely that the declared model "
+                "lacks nothing."
+            )
         if self.verdict == "ambiguous":
             likely = all(
                 2.0 * p < 1.0 for found in self.found for *_, p in found.alternatives

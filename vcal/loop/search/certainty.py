@@ -14,7 +14,7 @@ from ...geometry.compensated import machine_terms
 from ...identification.fit import POORLY_DETERMINED, Fit, declared_chi2
 from ...instruments.conditions import file_column
 from ..empirical.base import Empirical
-from ..outcome.closure import FoundEffect
+from ..outcome.closure import LIKELY, FoundEffect
 from ..outcome.unexplained import Unexplained
 from ..screening.candidates import Untestable
 from ..screening.score_test import ScoreTest
@@ -23,9 +23,8 @@ from ..weighing.rivals import impossible_sizes
 from ..weighing.weighing import CERTAIN
 from .state import State, without
 
-_LIKELY, _COVERAGE = 0.5, 2.0
-"""Probability, and expanded uncertainty in standard uncertainties, above which an effect counts as
-found."""
+_COVERAGE = 2.0
+"""Expanded uncertainty in standard uncertainties that a found effect exceeds."""
 _OUT = 3.0
 """Standard uncertainties by which a shape parameter would have to leave its grid to count as
 outside."""
@@ -59,8 +58,8 @@ def doubted(
 
 def hinted(found: FoundEffect, fit: Fit, rest: Unexplained | None) -> FoundEffect:
     """The effect as found in a fit, or the same as a hint: where it is no more likely than all its
-    rivals together, no amplitude exceeds its expanded uncertainty (k = 2), or it explains less than
-    what is left unexplained.
+    rivals together, that nothing more is missing among them, no amplitude exceeds its expanded
+    uncertainty (k = 2), or it explains less than what is left unexplained.
 
     What is unexplained counts where it has no description, neither an empirical one nor noise that
     is correlated in time: small effects may then be parts of it.
@@ -69,8 +68,10 @@ def hinted(found: FoundEffect, fit: Fit, rest: Unexplained | None) -> FoundEffec
     amplitudes = {p.name for p in found.effect.amplitudes}
     values = [(abs(value), u) for name, value, _, u in found.parameters if name in amplitudes]
     why = ""
-    if found.probability <= _LIKELY:
+    if found.probability <= LIKELY:
         why = "its rivals together are as likely"
+    elif found.perhaps_chance:
+        why = f"with a probability of {100.0 * found.chance:.0f} % nothing more is missing"
     elif values and all(value <= _COVERAGE * u for value, u in values):
         why = "no value of it exceeds its expanded uncertainty (k = 2)"
     elif rest is not None and rest.empirical is None and not rest.words:
