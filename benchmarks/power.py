@@ -29,12 +29,21 @@ DRAWS = 500
 LIMIT_DRAWS = 200
 FIRST_SEED = 20_000
 
+_APART = 1000
+"""Seeds from the machines of one effect to those of the next (`--own-machines`)."""
+
 Job = tuple[str, float, int]
 """Entry, multiple of the detection limit, seed."""
 
 
-def jobs(names: Sequence[str], multiples: Sequence[float], sets: range) -> Iterator[Job]:
+def jobs(
+    names: Sequence[str], multiples: Sequence[float], sets: range, own_machines: bool = False
+) -> Iterator[Job]:
     """Every set, seed by seed and multiple by multiple, so that all entries grow together.
+
+    Entries of an instrument share the machine of a seed. With `own_machines`, those of another
+    effect have other seeds, and so other machines: what resembles an effect in one of them is then
+    in few sets.
 
     Clean entries need more sets: ten of them are spread among the sets of each seed. An entry takes
     those of the requested `multiples` that are its own or that lie above all of its own.
@@ -51,14 +60,24 @@ def jobs(names: Sequence[str], multiples: Sequence[float], sets: range) -> Itera
         ]
         for entry in others
     }
+    apart = dict.fromkeys(names, 0)
+    if own_machines:
+        # An effect alone, with strays or with others has one detection limit for all.
+        kinds = {e.name: e.kinds[0].name if e.kinds else "" for e in entries}
+        order = {kind: k for k, kind in enumerate(dict.fromkeys(kinds.values()))}
+        apart = {name: _APART * order[kind] for name, kind in kinds.items()}
     for place, seed in enumerate(sets):
         wanted = [
-            (name, its[i], seed)
+            (name, its[i], seed + apart[name])
             for i in range(max(map(len, sizes.values()), default=0))
             for name, its in sizes.items()
             if i < len(its)
         ]
-        between = [(name, 0.0, sets.start + 10 * place + k) for k in range(10) for name in clean]
+        between = [
+            (name, 0.0, sets.start + 10 * place + k + apart[name])
+            for k in range(10)
+            for name in clean
+        ]
         # Sorted by the relative place of each set in its own list.
         spread = [((i + 0.5) / len(part), job) for part in (wanted, between)
                   for i, job in enumerate(part)]  # fmt: skip
@@ -325,7 +344,8 @@ def work(options: argparse.Namespace) -> None:
 
     sets = range(options.first_seed, options.first_seed + options.sets)
     # All sets of one instrument and seed go to one worker, because they share detection limits.
-    make_sets(options, jobs(names, options.multiples, sets), ("case", "multiple", "seed"), made,
+    every = jobs(names, options.multiples, sets, options.own_machines)
+    make_sets(options, every, ("case", "multiple", "seed"), made,
               together=lambda name, _, seed: (name.split("/")[0], seed))  # fmt: skip
 
 
@@ -348,6 +368,7 @@ def main() -> None:
     """Run the campaign in single-threaded processes, or summarise it."""
     parser = campaign_parser(__doc__, "power", FIRST_SEED)
     parser.add_argument("--groups", nargs="+", default=[], help="such as clean, catalogue, outside")
+    parser.add_argument("--own-machines", action="store_true", help="for every kind of effect")
     parser.add_argument("--multiples", nargs="+", type=float, default=[])
     options = parser.parse_args()
     campaign(__file__, options, work, lambda lines: summed(options, lines))

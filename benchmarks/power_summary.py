@@ -10,7 +10,7 @@ from collections.abc import Callable, Hashable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
-from power_cases import ENTRIES, GROUPS, INSTRUMENTS, OWN_NOISE, noise_seed
+from power_cases import ENTRIES, GROUPS, INSTRUMENTS, OWN_NOISE
 
 OUTCOMES = (
     "right",
@@ -179,11 +179,11 @@ def wilson(k: float, n: float) -> tuple[float, float]:
     return max(low, 0.0), min(high, 1.0)
 
 
-def draw(line: dict) -> tuple:
-    """The draw of the noise of a set, which other sets may share."""
-    instrument = line["case"].split("/")[0]
-    own = noise_seed(ENTRIES[line["case"]], line["multiple"], line["seed"])
-    return instrument, line["seed"], own
+def machine(line: dict) -> tuple[str, int]:
+    """The machine of a set, which all entries of an instrument with that seed share. What of its
+    errors resembles an effect is in all these sets.
+    """
+    return line["case"].split("/")[0], line["seed"]
 
 
 def effective(hits: Sequence[bool], draws: Sequence[Hashable]) -> float:
@@ -210,7 +210,7 @@ def counts(hits: Iterable[bool], part: Sequence[dict]) -> list[float]:
     k, n = sum(hits), len(hits)
     if not n:
         return [k, n]
-    much = effective(hits, [draw(x) for x in part])
+    much = effective(hits, [machine(x) for x in part])
     return [k, n, *(float(f"{v:.3g}") for v in wilson(k / n * much, much))]
 
 
@@ -339,9 +339,9 @@ def summary(lines: Sequence[dict], p_without: Callable[[dict], float]) -> dict:
             "clean_unexplained": share(nothing, {"unexplained"}),
             "far_right": share(seen, CERTAIN),
             "far_wrong": share(seen, {"wrong"}),
-            "far_wrong_draws": [
-                len({draw(x) for x in seen if outcome(x) == "wrong"}),
-                len({draw(x) for x in seen}),
+            "far_wrong_machines": [
+                len({machine(x) for x in seen if outcome(x) == "wrong"}),
+                len({machine(x) for x in seen}),
             ],
             "own_right": share(own, CERTAIN),
             "own_wrong": share(own, {"wrong"}),

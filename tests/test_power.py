@@ -154,6 +154,16 @@ def test_every_set_has_its_place_once():
     assert ("laser_tracker/backlash", 3.0, SEED) in far
     assert ("laser_tracker/backlash", 30.0, SEED) in far and len(far) == len(set(far))
     assert ("laser_tracker/backlash", 5.0, SEED) not in far
+    apart = list(power.jobs(names, [3.0, 5.0], range(SEED, SEED + 2), own_machines=True))
+    assert (
+        len(apart)
+        == len(set(apart))
+        == len(list(power.jobs(names, [3.0, 5.0], range(SEED, SEED + 2))))
+    )
+    seeds = {(name, seed) for name, _, seed in apart if name.startswith("laser_frame/")}
+    shared = {seed for name, seed in seeds if name == "laser_frame/backlash"}
+    assert len(shared) == 2
+    assert not shared & {seed for name, seed in seeds if name == "laser_frame/jump of the frame"}
     assert {kind.name for kind in OUTSIDE} <= {k.name for e in ENTRIES.values() for k in e.kinds}
 
 
