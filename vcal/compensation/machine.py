@@ -10,7 +10,7 @@ import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -18,8 +18,6 @@ from jaxtyping import Float
 from ..effects.base import Effect, along
 from ..errors import StudyError
 from ..geometry.error_motions import ErrorMotionTable, line_of
-from ..identification.fit import Fit, shape_step
-from ..identification.model_averaging import Alternatives
 from ..machine.chain import Chain
 from ..machine.parameters import Parameter
 from ..machine.plan import Plan
@@ -27,6 +25,10 @@ from ..machine.ports import PortLayout
 from ..model.forward import tool_points, tool_points_with_jacobian
 from ..units import si_factor
 from .parts import GEOMETRY, Kind, Part, in_order, part_names, part_of
+
+if TYPE_CHECKING:
+    from ..identification.fit import Fit
+    from ..identification.model_averaging import Alternatives
 
 _BLOCK = 256
 """Default number of rows that are evaluated together: one program is compiled for a chain, whatever
@@ -135,9 +137,9 @@ class IdentifiedMachine:
     @classmethod
     def of_fit(
         cls,
-        fit: Fit,
+        fit: "Fit",
         *,
-        alternatives: Sequence[Alternatives] = (),
+        alternatives: "Sequence[Alternatives]" = (),
         check: Plan | None = None,
         name: str = "",
         date: str = "",
@@ -150,7 +152,7 @@ class IdentifiedMachine:
         `alternatives` are the models that compete with its effects.
         """
 
-        def bare_of(one: Fit) -> "IdentifiedMachine":
+        def bare_of(one: "Fit") -> "IdentifiedMachine":
             return replace(_bare(one), block=block)
 
         rivals = tuple(
@@ -606,19 +608,22 @@ def _unit(machine: IdentifiedMachine, axis: int) -> np.ndarray:
     return np.eye(len(machine.axes))[axis]
 
 
-def _on_machine(fit: Fit) -> list[int]:
+def _on_machine(fit: "Fit") -> list[int]:
     return [i for i, effect in enumerate(fit.model.effects) if not effect.on_instrument]
 
 
-def _places(fit: Fit) -> np.ndarray:
+def _places(fit: "Fit") -> np.ndarray:
     """Positions in `Fit.theta` of the amplitudes of the machine, then of its shape parameters."""
     pairs = [fit.places_of(i) for i in _on_machine(fit)]
     empty = np.zeros(0, int)
     return np.concatenate([empty, *(a for a, _ in pairs), *(s for _, s in pairs)])
 
 
-def _bare(fit: Fit) -> IdentifiedMachine:
+def _bare(fit: "Fit") -> IdentifiedMachine:
     """The machine of a fit, without covariance."""
+    # Imported here: it takes long, and a machine that is read back needs nothing of it.
+    from ..identification.fit import shape_step
+
     model, plan = fit.model, fit.measurement.plan
     mine = _on_machine(fit)
     effects = tuple(model.effects[i] for i in mine)
