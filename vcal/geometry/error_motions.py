@@ -75,7 +75,9 @@ def error_motion_tables(
     ]
 
 
-def functions_on(fit: "Fit", lines: Sequence[np.ndarray]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def functions_on(
+    fit: "Fit", lines: Sequence[np.ndarray]
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """F (nodes, k) of every error motion on these positions of every axis, or (1, k) of a location
     error, and the prior mean, SI.
 
