@@ -38,6 +38,11 @@ def motors():
     return [hal.get_value("joint.%d.motor-pos-cmd" % j) for j in joints]
 
 
+def arrived(point):
+    at = [hal.get_value("axis.%s.pos-cmd" % letter.lower()) for letter in task["axes"]]
+    return max(abs(a - b) for a, b in zip(at, point)) < 1e-6
+
+
 def coming():
     # What the tables of the joints still have to add: it comes with limited acceleration.
     names = ["joint.%d.backlash-" % j for j in joints]
@@ -86,7 +91,8 @@ for number, (point, pins) in enumerate(zip(task["points"], task["pins"])):
         hal.set_p(name, str(value))
     command.mdi("G53 G0 " + " ".join("%s%.9f" % one for one in zip(task["axes"], point)))
     command.wait_complete(30)
-    wait(lambda: status.interp_state == linuxcnc.INTERP_IDLE and status.inpos)
+    # On a busy computer the state may still be that before the move: the command tells.
+    wait(lambda: arrived(point) and status.interp_state == linuxcnc.INTERP_IDLE and status.inpos)
     found.append(settled())
 json.dump(found, open("found.json", "w"))
 """
