@@ -30,6 +30,24 @@ def zero(positions, directions):
     return np.zeros_like(positions)
 
 
+def short_arcs(seed: int) -> bytes:
+    """1500 arcs of 0.02 to 0.2 mm, as curves are written by programs for machining."""
+    rng = np.random.default_rng(seed)
+    at = 100.0 + 100.0j
+    lines = ["G21 G90", "G0 X100. Y100. Z50.", "F100"]
+    for _ in range(1500):
+        r, chord = rng.choice([5, 10, 20, 50]), rng.uniform(0.02, 0.2)
+        out = np.exp(1j * rng.uniform(0, 2 * math.pi))
+        turn = 2 * math.asin(chord / 2 / r)
+        g = rng.choice([2, 3])
+        end = at - r * out + r * out * np.exp(1j * (turn if g == 3 else -turn))
+        ends = round(end.real, 4), round(end.imag, 4)
+        i, j = -(r * out).real, -(r * out).imag
+        lines.append(f"G{g} X{ends[0]:.4f} Y{ends[1]:.4f} I{i:.4f} J{j:.4f}")
+        at = complex(*ends)
+    return ("\n".join(lines) + "\n").encode()
+
+
 class Author:
     """Writes a program of random moves within the travels, in one style."""
 

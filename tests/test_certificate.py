@@ -113,6 +113,36 @@ def test_elements_stand_in_the_order_of_the_schema(root):
         assert text.text is None or not text.text.strip() or text.text == text.text.strip()
 
 
+TYPES = {
+    # Forms of texts in the schemas, DCC 3.3.0 and D-SI 2.2.
+    r"[-+]?(\d*\.\d+|\d+\.?)([Ee][-+]?\d+)?": "value intervalMin intervalMax valueXMLList",
+    r"(\d*\.\d+|\d+\.?)([Ee][-+]?\d+)?": "valueExpandedMU valueStandardMU valueExpandedMUXMLList",
+    r"[1-9]\d*(\.\d*)?": "coverageFactor coverageFactorXMLList",
+    r"0(\.\d*)?|1(\.0*)?": "coverageProbability coverageProbabilityXMLList",
+    r"\d{4}-\d{2}-\d{2}": "beginPerformanceDate endPerformanceDate issueDate",
+    r"[A-Z]{2}": "countryCodeISO3166_1 countryCode",
+    r"[a-z]{2}": "usedLangCodeISO639_1 mandatoryLangCodeISO639_1",
+    r"laboratory|customer|other": "performanceLocation",
+    r"application|library": "type",
+    r"manufacturer": "issuer",
+    r"true|false": "mainSigner",
+    r"(conditional)?(P|p)ass|(conditional)?(F|f)ail": "conformity",
+    r"\S+(\s+\S+)*": "release model eMail city street postCode norm role uniqueIdentifier",
+}
+
+
+def test_texts_have_the_forms_of_the_schema(root):
+    seen = set()
+    for form, names in TYPES.items():
+        for name in names.split():
+            for element in root.iter():
+                if element.tag.partition("}")[2] == name and (name != "value" or SI in element.tag):
+                    seen.add(name)
+                    items = element.text.split() if name.endswith("List") else [element.text]
+                    assert items and all(re.fullmatch(form, item) for item in items), name
+    assert {*" ".join(TYPES.values()).split()} - seen <= {"postCode", "eMail", "countryCode"}
+
+
 def test_the_schema_of_ptb_takes_it(written, machine, tmp_path):
     path = os.environ.get("VCAL_DCC_SCHEMA")
     if not path:
@@ -288,6 +318,9 @@ def test_what_is_missing_is_listed_and_a_draft_says_so(machine, report, tmp_path
         ("certificate.numbr=17", "did you mean 'number'"),
         ("certificate.laboratory.country=Swiss", "certificate.laboratory.country"),
         ("measurement.date=14.3.2026", "expected year, month and day"),
+        ("measurement.date=20260314", "expected year, month and day"),
+        ("measurement.date=2026-W11-6", "expected year, month and day"),
+        ("machine.serial_number= ", "machine.serial_number"),
         ("certificate.number.x=17", "expected the key of a value"),
     ],
 )

@@ -1,7 +1,10 @@
 """`vcal compensate` and `vcal verify` as a user runs them, from a report and from a study."""
 
+import copy
 import json
+import math
 import re
+from dataclasses import replace
 
 import jax
 import numpy as np
@@ -9,8 +12,12 @@ import pytest
 
 import vcal
 from test_cli import DEMO, refused, run
-from vcal.compensation import FORMATS
-from vcal.compensation.stored import machine_record
+from vcal import StudyError
+from vcal.compensation import FORMATS, Range
+from vcal.compensation.base import conditions_inside
+from vcal.compensation.nc import correct_program
+from vcal.compensation.nc_displacement import nc_displacement
+from vcal.compensation.stored import machine_from, machine_record
 from vcal.model.simulate import simulate
 from vcal.numerics.stored import Reader, Writer
 from vcal.report.compensation.write import RECORD
@@ -255,3 +262,35 @@ def test_a_program_that_is_asked_for_wrongly(options, said, report, tmp_path):
 def test_options_of_a_program_without_one(report, tmp_path):
     said = refused("compensate", report, "--to", "csv", "--out", tmp_path / "c", "--tolerance", 1)
     assert "--tolerance: found it without --nc, expected an NC program" in said
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda r: r["working_volume"].pop(), "no two ends for each of 3 axes"),
+        (lambda r: r["shapes"].pop(), "shapes of"),
+        (
+            lambda r: r["conditions"].update(T_Y={"low": 1, "mean": math.inf, "high": 2}),
+            "no finite",
+        ),
+    ],
+)
+def test_a_record_whose_parts_do_not_belong_together_is_refused(record, report, change, said):
+    broken = copy.deepcopy(record)
+    change(broken)
+    (report / FILE).write_text(json.dumps(broken), encoding="utf-8")
+    message = refused("compensate", report, "--to", "csv", "--out", report.parent / "out")
+    assert said in " ".join(message.split()) and not (report.parent / "out").exists()
+
+
+def test_conditions_have_values_near_the_measured_ones(record):
+    machine = machine_from(record)
+    ranges = {"T_Y": Range(20.0, 22.0, 24.0), "load": Range(0.0, 1.0, 2.0)}
+    machine = replace(machine, ranges=ranges, temperature_offset_K=0.5)
+    assert conditions_inside(machine, {"T_Y": 23.0, "load": 500.0}) == {"T_Y": 22.5, "load": 500.0}
+    for name, value in (("T_Y", math.nan), ("T_Y", 75.0), ("load", math.inf), ("T_Q", 20.0)):
+        with pytest.raises(StudyError, match=f"option at: found '?{name}"):
+            conditions_inside(machine, {name: value})
+    program = b"G21 G90\nG0 X1. Y2. Z3.\nG1 X100. F500\n"
+    with pytest.raises(StudyError, match="option at"):
+        correct_program(program, nc_displacement(machine, {"T_Q": 20.0}))

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -93,6 +94,28 @@ def test_screw_tables_against_numpy(backlashed):
         np.testing.assert_allclose(1e3 * applied[:, i], values, atol=1e-9)
     sections = found.files["screw.ini"]
     assert "[JOINT_1]\n" in sections and "COMP_FILE = y.comp\nCOMP_FILE_TYPE = 1" in sections
+
+
+def ramp_starts(jump_mm, acceleration, period_s=1e-3):
+    """Whether LinuxCNC drives a jump of the trim: its ramp, of half the acceleration, advances by
+    one step from rest, and needs as much to stop.
+    """
+    step = 0.5 * (0.5 * acceleration) * period_s**2
+    return jump_mm <= step or jump_mm > 2.0 * step
+
+
+def test_screw_tables_name_the_accelerations_to_avoid(backlashed):
+    _, machine = backlashed
+    found = vcal.compensate(machine, "linuxcnc-screw", parts=False)
+    sections = found.files["screw.ini"].split("[JOINT_")[1:]
+    assert ["avoid" in one for one in sections] == [False, True, False]
+    low, high = map(float, re.search(r"from (\d+) to (\d+) mm/s", sections[1]).groups())
+    _, up, down = np.loadtxt(found.files["y.comp"].splitlines()).T
+    jumps = np.abs(up - down)
+    for acceleration in (0.99 * low, 1.01 * high):
+        assert all(ramp_starts(jump, acceleration) for jump in jumps)
+    for acceleration in (1.01 * low, 0.99 * high):
+        assert not all(ramp_starts(jump, acceleration) for jump in jumps)
 
 
 # --- on a controller -----------------------------------------------------------------------------

@@ -412,3 +412,27 @@ def test_five_thousand_blocks():
     _, report = lines_of(text, bent)
     assert time.process_time() - begun < 4.0
     assert report.corrected == 5000
+
+
+def test_a_position_that_no_machine_has_is_refused():
+    """2000 km would be a thousand million samples."""
+    with pytest.raises(
+        StudyError, match=r"line 3: found the axis position X = 2e\+09 mm, expected"
+    ):
+        lines_of(HEAD + "G1 X2000000000. F100\n")
+
+
+@pytest.mark.parametrize("words", ["I1000000000. J0", "I10. J0 P100000"])
+def test_arcs_without_end_are_left_alone(words):
+    lines, report = lines_of(HEAD + f"G2 X0 Y0 {words} F100\n")
+    assert report.left == 1 and any(words in line for line in lines)
+
+
+def test_moves_beyond_the_calibrated_travels_are_reported():
+    travels = ((0.0, 100.0), (0.0, 50.0), (0.0, 20.0))
+    _, report = lines_of(HEAD + "G1 X99 F100\nX101\nZ-3\nX50 Z1\n", travels_mm=travels)
+    (warning,) = report.warnings
+    assert str(warning) == (
+        "lines 4, 5: 2 moves up to line 5 beyond the calibrated travels (X 0 to 100 mm, Z 0 to "
+        "20 mm), where errors are extrapolated"
+    )

@@ -5,7 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
-from nc_programs import Author, machine_displacement, zero
+from nc_programs import Author, machine_displacement, short_arcs, zero
 from oracle import nc
 from vcal.compensation.nc import NcOptions, correct_program
 
@@ -60,6 +60,21 @@ def test_the_displaced_tool_follows_the_programmed_path(seed):
     ends = [m.end for m in wanted]
     reached = np.array([m.end + 1e3 * displacement(1e-3 * m.end[None], None)[0] for m in driven])
     assert all(np.linalg.norm(reached - end, axis=1).min() < 2 * resolution for end in ends)
+
+
+@pytest.mark.parametrize("seed", [10, 13])
+def test_short_arcs_are_never_driven_the_long_way_round(seed):
+    """Arcs whose middle is a tenth of a micrometre off the chord: rounding of both ends can bend
+    them to the other side, on which the same words are nearly a whole turn.
+    """
+
+    def displacement(positions, directions):
+        return 1e-5 * np.sin(7.0 * positions + [0.0, 1.0, 2.0]) + 4e-5 * positions[:, [1, 2, 0]]
+
+    done = corrected(short_arcs(seed), displacement)
+    arcs = [m for m in nc.driven(done.program.decode()) if m.motion > 1]
+    assert len(arcs) > 800
+    assert max(abs(m.turn) for m in arcs) < 0.05
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -209,6 +209,12 @@ def test_page_begins_with_the_decision(closed, written):
     assert before["largest_um"] == pytest.approx(found.largest.mean, rel=1e-9)
     assert before["rms_um"] == pytest.approx(found.rms.mean, rel=1e-9)
     assert f"{closed[1].chain.text}, serial number A 17" in page and "by N. N." in page
+    (found,) = (one for one in content["effects"] if one["effect"] == "backlash")
+    size = re.escape(f"{abs(found['parameters'][0]['value']):.3g}")
+    words = (
+        rf"Reversal error along \(or about\) the axis, {size} µm: backlash Y moves the tool point"
+    )
+    assert re.search(words, page)
     assert content["stated"] == {
         "machine": {"serial_number": "A 17"},
         "measurement": {"operator": "N. N."},

@@ -125,8 +125,13 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
+_OF_A_REPORT = ("compensate", "verify")
+"""Commands that begin with a report, and need nothing of the loop that wrote it."""
+
+
 @app.callback()
 def _options(
+    context: typer.Context,
     version: Annotated[
         bool,
         typer.Option(
@@ -135,7 +140,8 @@ def _options(
     ] = False,
 ) -> None:
     del version
-    import_modules()
+    of_a_report = context.invoked_subcommand in _OF_A_REPORT
+    import_modules("compensation", *(() if of_a_report else ("loop", "study.study")))
 
 
 @app.command()

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import StudyError
+from ..startup import importing
 from .commands import Outside, Override, Trust, _folder, app
 from .session import guarded, say, start, working
 
@@ -253,8 +254,6 @@ def machine_of(
     `consent` holds whether code of the study may be run, and whether files outside its folder may
     be read. Raises `StudyError` where it is neither, and as the loop does.
     """
-    from .. import load_study
-    from ..study.close_study import close_study
     from ..study.identified_machine import identified_machine, is_report, load_machine
 
     if is_report(source):
@@ -264,6 +263,9 @@ def machine_of(
                 "name the study instead"
             )
         return load_machine(source)
+    with importing():  # the loop and all it stands on, which a report does not need
+        from .. import load_study
+        from ..study.close_study import close_study
     study = load_study(source, list(overrides), trust=consent[0], allow_outside=consent[1])
     if study.measurement is None:
         raise StudyError(

@@ -1,6 +1,7 @@
 """`vcal compensate --nc`: the corrected positions of an NC program."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,7 +28,10 @@ def corrected_program(
         raise StudyError(
             f"{out}: found a folder, expected a file for the corrected program; give its name"
         )
-    report = correct_file(program, out, nc_displacement(machine, at), options)
+    displacement = nc_displacement(machine, at)
+    travel = dict(zip(machine.axes, (1e3 * machine.volume).tolist(), strict=True))
+    options = replace(options, travels_mm=[travel[axis] for axis in "XYZ"])
+    report = correct_file(program, out, displacement, options)
     say(report.text())
     say(f"Wrote {out}.")
 

@@ -8,6 +8,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -124,10 +125,11 @@ def say(text: str, err: bool = False) -> None:
     typer.echo(printable(text), err=err)
 
 
-def import_modules() -> None:
-    """Import what all commands use, JAX with it: after the help, which does not need it."""
+def import_modules(*modules: str) -> None:
+    """Import modules of vcal, JAX with them: after the help, which does not need it."""
     with importing():
-        from .. import compensation, loop, study  # noqa: F401
+        for name in modules:
+            import_module(f"...{name}", __name__)
     gc.freeze()  # what has been imported stays; collections need not look at it again
 
 

@@ -10,6 +10,7 @@ format corrects, and how much of the others stays.
 """
 
 import dataclasses
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -29,6 +30,10 @@ CARRIED = 0.1
 """Largest share of a part's rms that may stay where it counts as carried."""
 FINE_UM = 0.05
 """What stays below this rms counts as carried, um: the resolution of a control."""
+
+_FAR_K = 50.0
+"""Most by which a temperature may lie outside the measured ones: an effect that is linear there
+need not be so beyond."""
 
 
 class Options(BaseModel):
@@ -229,19 +234,39 @@ FORMATS: Catalogue[type[Format[Any]]] = Catalogue("compensation format")
 
 
 def at_inside(machine: IdentifiedMachine, options: Options) -> dict[str, float]:
-    """The conditions of `Options.at` as the machine counts them (`temperature_offset_K`).
+    """`conditions_inside` of `Options.at`."""
+    return conditions_inside(machine, options.at)
 
-    Raises `StudyError` for a condition on which nothing depends.
+
+def conditions_inside(machine: IdentifiedMachine, at: Mapping[str, float]) -> dict[str, float]:
+    """Conditions as the machine counts them (`temperature_offset_K`), from those that a sensor
+    reads (temperatures in degC).
+
+    Raises `StudyError` for a condition on which nothing depends, and for a value that is not a
+    number or a temperature far from the measured ones.
     """
     found = {}
-    for name, value in options.at.items():
+    for name, value in at.items():
         if name not in machine.ranges:
             known = ", ".join(machine.ranges) or "none: nothing depends on a condition"
             raise StudyError(
                 f"option at: found {name!r}{nearest(name, machine.ranges)}, expected a condition "
                 f"on which the identified errors depend ({known}); correct or remove it"
             )
-        found[name] = value - (machine.temperature_offset_K if name.startswith("T_") else 0.0)
+        offset = machine.temperature_offset_K if name.startswith("T_") else 0.0
+        known = machine.ranges[name]
+        low, high = known.low + offset, known.high + offset
+        if not math.isfinite(value):
+            raise StudyError(
+                f"option at: found {name}={value:g}, expected a finite number, such as "
+                f"{known.mean + offset:.4g}; correct it"
+            )
+        if name.startswith("T_") and not low - _FAR_K <= value <= high + _FAR_K:
+            raise StudyError(
+                f"option at: found {name}={value:g}, expected a temperature in degC within "
+                f"{_FAR_K:g} K of the measured ones, {low:.4g} to {high:.4g}; correct it"
+            )
+        found[name] = value - offset
     return found
 
 

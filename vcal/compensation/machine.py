@@ -10,16 +10,15 @@ import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from ..effects.base import Effect, along
+from ..effects.geometric import GeometricErrors
 from ..errors import StudyError
 from ..geometry.error_motions import ErrorMotionTable, line_of
-from ..identification.fit import Fit, shape_step
-from ..identification.model_averaging import Alternatives
 from ..machine.chain import Chain
 from ..machine.parameters import Parameter
 from ..machine.plan import Plan
@@ -27,6 +26,10 @@ from ..machine.ports import PortLayout
 from ..model.forward import tool_points, tool_points_with_jacobian
 from ..units import si_factor
 from .parts import GEOMETRY, Kind, Part, in_order, part_names, part_of
+
+if TYPE_CHECKING:
+    from ..identification.fit import Fit
+    from ..identification.model_averaging import Alternatives
 
 _BLOCK = 256
 """Default number of rows that are evaluated together: one program is compiled for a chain, whatever
@@ -135,9 +138,9 @@ class IdentifiedMachine:
     @classmethod
     def of_fit(
         cls,
-        fit: Fit,
+        fit: "Fit",
         *,
-        alternatives: Sequence[Alternatives] = (),
+        alternatives: "Sequence[Alternatives]" = (),
         check: Plan | None = None,
         name: str = "",
         date: str = "",
@@ -150,7 +153,7 @@ class IdentifiedMachine:
         `alternatives` are the models that compete with its effects.
         """
 
-        def bare_of(one: Fit) -> "IdentifiedMachine":
+        def bare_of(one: "Fit") -> "IdentifiedMachine":
             return replace(_bare(one), block=block)
 
         rivals = tuple(
@@ -321,8 +324,21 @@ class IdentifiedMachine:
         names = part_names(self.effects)
         return list(zip(names, self.effects, self.shapes, strict=True))
 
-    def _columns(self, plan: Plan, everything: bool = False) -> Iterator[_Column]:
-        """Responses of the effects that can be evaluated, of the parts that are shown or of all."""
+    @cached_property
+    def _sized(self) -> list[tuple[Effect, dict[str, float]]]:
+        """Every effect with its amplitudes, SI, by their names."""
+        found, theta = [], iter(self.theta.tolist())
+        for effect in self.effects:
+            sizes = {p.name: p.mean * p.si + next(theta) * p.step for p in effect.amplitudes}
+            found.append((effect, sizes))
+        return found
+
+    def _columns(
+        self, plan: Plan, everything: bool = False, geometry: bool = True
+    ) -> Iterator[_Column]:
+        """Responses of the effects that can be evaluated, of the parts that are shown or of all;
+        without `geometry`, those of `GeometricErrors` are left out.
+        """
         start = 0
         for own, effect, shape in self._named:
             amplitudes = {p.name: (start + i, p) for i, p in enumerate(effect.amplitudes)}
@@ -331,6 +347,8 @@ class IdentifiedMachine:
             if not plan.has(*needs):
                 continue
             if not (everything or isinstance(effect, GEOMETRY) or own in self.shown):
+                continue
+            if not geometry and isinstance(effect, GeometricErrors):
                 continue
             for (port, name), values in effect.response(plan, shape).items():
                 part, kind = part_of(effect, own, port, name)
@@ -354,14 +372,8 @@ class IdentifiedMachine:
         """Derivatives of the ports by the fitted shape parameters, by central differences over the
         1e-4 th part of a step of their scan.
         """
-        start, first = 0, sum(len(effect.amplitudes) for effect in self.effects)
-        k = first
-        for own, effect, shape in self._named:
-            sizes = {
-                p.name: p.mean * p.si + self.theta[start + i] * p.step
-                for i, p in enumerate(effect.amplitudes)
-            }
-            start += len(sizes)
+        k = first = sum(len(effect.amplitudes) for effect in self.effects)
+        for (own, effect, shape), (_, sizes) in zip(self._named, self._sized, strict=True):
             for p in (p for p in effect.shapes if p.moves):
                 step = self.shape_steps[k - first]
                 if plan.has(*effect.needs_at(shape)) and own in self.shown:
@@ -391,7 +403,12 @@ class IdentifiedMachine:
 
     def nominal(self, position: Float[np.ndarray, "n axes"]) -> Float[np.ndarray, "n 3"]:
         """Nominal tool points at commanded positions, m."""
-        return self.chain.tool_point(np.asarray(position, float))
+        position = np.asarray(position, float)
+        if len(position) <= _MANY or not self.chain.linear:
+            return self.chain.tool_point(position)
+        # No axis turns: the tool point is a linear function of the positions.
+        origin, *ends = self.chain.tool_point(np.eye(1 + len(self.axes), len(self.axes), -1))
+        return origin + position @ (np.array(ends) - origin)
 
     def displacement(self, plan: Plan) -> Float[np.ndarray, "n 3"]:
         """Displacement of the tool point, actual - nominal, in the frame of the workpiece, m."""
@@ -441,9 +458,13 @@ class IdentifiedMachine:
         if plan.rows <= _MANY:
             return self._evaluated(plan, self._ports(plan)[0])[0]
         ports = np.zeros((len(self.layout), plan.rows))
-        for one in self._columns(plan):
+        for one in self._columns(plan, geometry=False):
             p = one.declared
             ports[one.port] += one.values * (p.mean * p.si + self.theta[one.parameter] * p.step)
+        for effect, sizes in self._sized:
+            if isinstance(effect, GeometricErrors):
+                for port, values in effect.errors(plan, sizes, self.shown).items():
+                    ports[self.layout.index(port)] += values
         position = np.asarray(plan.position)
         points = []
         for first in range(0, plan.rows, _MANY):
@@ -606,19 +627,22 @@ def _unit(machine: IdentifiedMachine, axis: int) -> np.ndarray:
     return np.eye(len(machine.axes))[axis]
 
 
-def _on_machine(fit: Fit) -> list[int]:
+def _on_machine(fit: "Fit") -> list[int]:
     return [i for i, effect in enumerate(fit.model.effects) if not effect.on_instrument]
 
 
-def _places(fit: Fit) -> np.ndarray:
+def _places(fit: "Fit") -> np.ndarray:
     """Positions in `Fit.theta` of the amplitudes of the machine, then of its shape parameters."""
     pairs = [fit.places_of(i) for i in _on_machine(fit)]
     empty = np.zeros(0, int)
     return np.concatenate([empty, *(a for a, _ in pairs), *(s for _, s in pairs)])
 
 
-def _bare(fit: Fit) -> IdentifiedMachine:
+def _bare(fit: "Fit") -> IdentifiedMachine:
     """The machine of a fit, without covariance."""
+    # Imported here: it takes long, and a machine that is read back needs nothing of it.
+    from ..identification.fit import shape_step
+
     model, plan = fit.model, fit.measurement.plan
     mine = _on_machine(fit)
     effects = tuple(model.effects[i] for i in mine)

@@ -143,6 +143,7 @@ def _machine_from(record: Mapping[str, Any]) -> IdentifiedMachine:
         no_gain=record["no_gain"],
         about=record.get("about", {}),  # not in records of older versions
     )
+    _check_sizes(bare)
     units = np.array([step / p.si for _, p, step in entries(bare)])
     covariance = _square(record["covariance"], units)
     planned = record["planned_covariance"]
@@ -153,6 +154,23 @@ def _machine_from(record: Mapping[str, Any]) -> IdentifiedMachine:
         rivals=tuple(_rival(reader, bare, one) for one in objects["rivals"]),
         check=_check_from(reader, bare, objects["check"]),
     )
+
+
+def _check_sizes(machine: IdentifiedMachine) -> None:
+    """Raise `NotStoredError` where parts of a record do not belong together."""
+    axes, parameters = len(machine.axes), len(entries(machine))
+    if machine.volume.shape != (axes, 2) or not np.isfinite(machine.volume).all():
+        raise NotStoredError(f"a working volume that has no two ends for each of {axes} axes")
+    if len(machine.theta) != parameters or len(machine.prior) != parameters:
+        raise NotStoredError(
+            f"{len(machine.theta)} values and {len(machine.prior)} prior variances of "
+            f"{parameters} parameters"
+        )
+    if len(machine.shapes) != len(machine.effects):
+        raise NotStoredError(f"shapes of {len(machine.shapes)} of {len(machine.effects)} effects")
+    numbers = [one for r in machine.ranges.values() for one in (r.low, r.mean, r.high)]
+    if not np.isfinite([*machine.theta, *numbers]).all():
+        raise NotStoredError("a value or a condition that is no finite number")
 
 
 def _value(machine: IdentifiedMachine, i: int, p: Parameter, step: float) -> float:

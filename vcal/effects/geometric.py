@@ -1,6 +1,6 @@
 """The geometric errors of ISO 230-1: six error motions per joint and the location errors."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import equinox as eqx
 import numpy as np
@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from ..distributions import Univariate
 from ..machine.chain import Chain
-from ..machine.error_functions import Basis, Constant, Legendre, Matern, Together
+from ..machine.error_functions import Basis, Constant, Legendre, Matern, Together, summed
 from ..machine.parameters import Parameter
 from ..machine.plan import Plan
 from ..numerics.arrays import Array, namespace
@@ -118,6 +118,31 @@ class GeometricErrors(Effect):
                 x = plan.x(e.axis)
                 columns[port, e.name] = factor * (namespace(x).ones_like(x) if e.constant else x)
         return columns
+
+    def errors(
+        self, plan: Plan, amplitudes: Mapping[str, float], names: Collection[str]
+    ) -> dict[str, Float[np.ndarray, " n"]]:
+        """Errors (n,) at the ports, m or rad: `response` times `amplitudes` (SI, by the names of
+        the parameters) of the error motions and location errors in `names`, summed. Faster where
+        the rows are many.
+        """
+        found: dict[str, np.ndarray] = {}
+        motions = [m for m in self.motions if m.name in names]
+        for axis in dict.fromkeys(m.axis for m in motions):
+            mine = [m for m in motions if m.axis == axis]
+            sizes = [
+                np.array([amplitudes[f"{m.tied or m.name}.{k}"] for k in m.basis.labels])
+                for m in mine
+            ]
+            values = summed([m.basis for m in mine], sizes, np.asarray(plan.x(axis)))
+            for m, column in zip(mine, values.T, strict=True):
+                found[m.name] = found.get(m.name, 0.0) + column
+        for e in (e for e in self.locations if e.name in names):
+            x = np.asarray(plan.x(e.axis))
+            for port, factor in e.column:
+                column = factor * amplitudes[e.name] * (np.ones_like(x) if e.constant else x)
+                found[port] = found.get(port, 0.0) + column
+        return found
 
 
 def link_errors(

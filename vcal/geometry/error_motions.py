@@ -4,13 +4,16 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..identification.fit import Fit
-from ..identification.model_averaging import Alternatives, model_average
 from ..machine.plan import Plan
 from ..units import si_factor
+
+if TYPE_CHECKING:
+    from ..identification.fit import Fit
+    from ..identification.model_averaging import Alternatives
 
 NODES = 41
 """Default number of positions per axis."""
@@ -50,7 +53,7 @@ class ErrorMotionTable:
 
 
 def error_motion_tables(
-    fit: Fit, nodes: int = NODES, alternatives: Sequence[Alternatives] = ()
+    fit: "Fit", nodes: int = NODES, alternatives: "Sequence[Alternatives]" = ()
 ) -> list[ErrorMotionTable]:
     """Every error motion on `nodes` positions over the travel of its axis (or the measured range,
     where no travel is declared), then the location errors.
@@ -72,7 +75,9 @@ def error_motion_tables(
     ]
 
 
-def functions_on(fit: Fit, lines: Sequence[np.ndarray]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def functions_on(
+    fit: "Fit", lines: Sequence[np.ndarray]
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """F (nodes, k) of every error motion on these positions of every axis, or (1, k) of a location
     error, and the prior mean, SI.
 
@@ -103,17 +108,20 @@ def functions_on(fit: Fit, lines: Sequence[np.ndarray]) -> dict[str, tuple[np.nd
 
 
 def _between_models(
-    alternatives: Sequence[Alternatives], lines: Sequence[np.ndarray], sizes: Mapping[str, int]
+    alternatives: "Sequence[Alternatives]", lines: Sequence[np.ndarray], sizes: Mapping[str, int]
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Change by averaging over the models (nodes,), m or rad, and between-model variance (nodes,),
     of every error motion; `sizes` gives nodes.
     """
 
-    def of(fit: Fit) -> np.ndarray:
+    def of(fit: "Fit") -> np.ndarray:
         functions = functions_on(fit, lines)
         found = {name: mean + block @ fit.theta for name, (block, mean) in functions.items()}
         # An error motion that a model does not have, such as a further degree, is zero there.
         return np.concatenate([found.get(name, np.zeros(n)) for name, n in sizes.items()])
+
+    # Imported here, as it takes long and an identified machine needs none of it.
+    from ..identification.model_averaging import model_average
 
     if not sizes:
         return {}  # no error motions are declared, as for circles of an R-test
@@ -135,7 +143,7 @@ class Spread:
     prior: np.ndarray
 
     @classmethod
-    def of_fit(cls, fit: Fit) -> "Spread":
+    def of_fit(cls, fit: "Fit") -> "Spread":
         """The covariances of a fit."""
         proper = fit.precision > 0
         return cls(
@@ -163,7 +171,7 @@ def _sorted(names: Iterable[str], axes: Sequence[str]) -> list[str]:
     return sorted(names, key=lambda name: order.index(name) if name in order else len(order))
 
 
-def line_of(fit: Fit, axis: str, nodes: int) -> np.ndarray:
+def line_of(fit: "Fit", axis: str, nodes: int) -> np.ndarray:
     """Positions (nodes,) of an axis over its travel, or over the measured range where no travel is
     declared, m or rad.
     """
@@ -181,7 +189,7 @@ def _table(
     mean: np.ndarray,
     moved: np.ndarray,
     between: np.ndarray,
-    fit: Fit,
+    fit: "Fit",
     spread: Spread,
     lines: Sequence[np.ndarray],
 ) -> ErrorMotionTable:

@@ -79,23 +79,7 @@ class Fourier(Basis):
         return unit_uniform()
 
     def functions(self, x: Float[Array, " n"]) -> Float[Array, "n k"]:
-        if not self.labels:
-            return np.zeros((*np.shape(x), 0))
-        low, high = self.travel
-        u = ((2.0 * x - low - high) / (high - low))[..., None]
-        # All columns at once: the family of a machine has a hundred of them to compile.
-        kind = np.array([label[0] for label in self.labels])
-        angle = self.waves * (np.pi * u)
-        xp = namespace(angle)
-        if xp is np:  # nothing to compile, and a sine or cosine of each angle, not both
-            values = np.where(np.array(self.labels) == "a1", u, 1.0)
-            for letter, function in (("b", np.sin), ("c", np.cos)):
-                own = kind == letter
-                values[..., own] = function(angle[..., own])
-            return values
-        straight = xp.where(np.array(self.labels) == "a1", u, 1.0)
-        wave = xp.where(kind == "b", xp.sin(angle), xp.cos(angle))
-        return xp.where(kind == "a", straight, wave)
+        return _fourier(x, self.travel, self.labels, self.waves)
 
 
 class Matern(Basis):
@@ -206,3 +190,52 @@ class Together(Basis):
     def functions(self, x: Float[Array, " n"]) -> Float[Array, "n k"]:
         values = [part.functions(x) for part in self.parts]
         return namespace(values[0]).concatenate(values, -1)
+
+
+def summed(
+    families: Sequence[Basis], coefficients: Sequence[Float[np.ndarray, " k"]], x: np.ndarray
+) -> Float[np.ndarray, "n families"]:
+    """Values E_j(x) = sum_k c_jk f_jk(x) of several families at the same positions `x` (n,), in the
+    unit of the coefficients.
+
+    What Fourier families over one travel have in common is evaluated once: the six error motions of
+    an axis have the sines and cosines of the same waves.
+    """
+    found = np.zeros((len(x), len(families)))
+    travels: dict[tuple[float, ...], dict[tuple[str, float], np.ndarray]] = {}
+    for j, (family, own) in enumerate(zip(families, coefficients, strict=True)):
+        if not isinstance(family, Fourier):
+            found[:, j] = np.asarray(family.functions(x)) @ own
+            continue
+        terms = travels.setdefault(tuple(family.travel.tolist()), {})
+        for label, n, value in zip(family.labels, family.waves.tolist(), own, strict=True):
+            name = label if label[0] == "a" else label[0]
+            terms.setdefault((name, n), np.zeros(len(families)))[j] += value
+    for travel, terms in travels.items():
+        labels, waves = zip(*terms, strict=True)
+        functions = _fourier(x, np.array(travel), labels, np.array(waves))
+        found += functions @ np.array([*terms.values()])
+    return found
+
+
+def _fourier(
+    x: Float[Array, " n"], travel: Array, labels: tuple[str, ...], waves: Array
+) -> Float[Array, "n k"]:
+    """The functions of a `Fourier` family, by the first letter and the n of their labels."""
+    if not labels:
+        return np.zeros((*np.shape(x), 0))
+    low, high = travel
+    u = ((2.0 * x - low - high) / (high - low))[..., None]
+    # All columns at once: the family of a machine has a hundred of them to compile.
+    kind = np.array([label[0] for label in labels])
+    angle = waves * (np.pi * u)
+    xp = namespace(angle)
+    if xp is np:  # nothing to compile, and a sine or cosine of each angle, not both
+        values = np.where(np.array(labels) == "a1", u, 1.0)
+        for letter, function in (("b", np.sin), ("c", np.cos)):
+            own = kind == letter
+            values[..., own] = function(angle[..., own])
+        return values
+    straight = xp.where(np.array(labels) == "a1", u, 1.0)
+    wave = xp.where(kind == "b", xp.sin(angle), xp.cos(angle))
+    return xp.where(kind == "a", straight, wave)

@@ -7,7 +7,7 @@ place, what was found, what was expected and what to do. Uses the loop, design a
 `plots`, `report`, `reproduce` and `cli` stand on it.
 """
 
-from .csv_table import Table, read_header, read_table, write_table
-from .study import Study, load_study
+from lazy_loader import attach_stub
 
-__all__ = ["Study", "Table", "load_study", "read_header", "read_table", "write_table"]
+# Named in `__init__.pyi`, and imported where it is used: a report is read back without the loop.
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

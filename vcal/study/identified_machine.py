@@ -2,16 +2,17 @@
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..compensation.machine import IdentifiedMachine
 from ..compensation.stored import SCHEMA, machine_from
 from ..errors import StudyError
-from ..loop.outcome.closure import Closure
 from ..numerics.stored import NotStoredError
 from .messages import refusal, shown
-from .statements import stated
-from .study import Study
+
+if TYPE_CHECKING:
+    from ..loop.outcome.closure import Closure
+    from .study import Study
 
 FILE = "machine.json"
 """Name of the record in the folder of a report."""
@@ -24,7 +25,7 @@ _FEWEST = 32
 _OF_MACHINE = ("manufacturer", "model", "serial_number")
 
 
-def identified_machine(closure: Closure, study: Study, date: str = "") -> IdentifiedMachine:
+def identified_machine(closure: "Closure", study: "Study", date: str = "") -> IdentifiedMachine:
     """The machine of a closure: its final fit, the models that compete with the effects found, the
     check points, and what the study states of it (`stated_of`).
     """
@@ -41,10 +42,12 @@ def identified_machine(closure: Closure, study: Study, date: str = "") -> Identi
     )
 
 
-def stated_of(study: Study) -> dict[str, dict[str, Any]]:
+def stated_of(study: "Study") -> dict[str, dict[str, Any]]:
     """What a study states of its machine, instruments, tolerance, measurement and certificate, by
     table.
     """
+    from .statements import stated  # imported here: a machine that is read back needs no study
+
     given = study.settings
     machine = {key: getattr(given.machine, key) for key in _OF_MACHINE}
     machine = {key: value for key, value in machine.items() if value is not None}

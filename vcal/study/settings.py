@@ -32,7 +32,7 @@ from .plugins.instruments import own_instruments
 from .plugins.trial import own_code_error
 from .reading.assign import Place
 from .reading.formats import TableFormat, plain_format
-from .statements import AcceptanceSettings, CertificateSettings, MeasurementSettings
+from .statements import AcceptanceSettings, CertificateSettings, MeasurementSettings, Words
 
 ToolOffset = tuple[Offset, Offset, Offset]
 """Tool offset, mm."""
@@ -162,11 +162,11 @@ class MachineSettings(Table):
     such as [0.5, 0, 0.87] for a base on a slope."""
     base: str | None = None
     """A remark on the place of the arm's base, whose pose is always identified."""
-    manufacturer: str | None = Field(default=None, min_length=1)
+    manufacturer: Words | None = None
     """Manufacturer of the machine; shown in the report and in a certificate, as the next two."""
-    model: str | None = Field(default=None, min_length=1)
+    model: Words | None = None
     """Its model or type designation, as on its plate."""
-    serial_number: str | None = Field(default=None, min_length=1)
+    serial_number: Words | None = None
     """Its serial number."""
 
     @model_validator(mode="after")

@@ -7,13 +7,21 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    StringConstraints,
+    ValidationError,
+    model_validator,
+)
 
 from ..bounds import Seed, Within
 from ..errors import StudyError
 from .messages import explain
 
-_Text = Annotated[str, Field(min_length=1, max_length=200)]
+Words = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, max_length=200)]
+"""A short text that is not blank: a blank one is no entry of a certificate."""
 _TABLES = ("machine", "measurement", "certificate")
 _FEWEST = 10
 """Least number of draws that are expected to lie in the tail that a decision depends on."""
@@ -65,7 +73,7 @@ class AcceptanceSettings(Statement):
 class MeasurementSettings(Statement):
     """``[measurement]``: who measured, and when; shown in the report and in a certificate."""
 
-    operator: _Text | None = None
+    operator: Words | None = None
     """Who measured."""
     date: str | None = None
     """Date of the measurement, such as 2026-03-14."""
@@ -74,29 +82,31 @@ class MeasurementSettings(Statement):
     def _a_date(self) -> Self:
         if self.date is not None:
             try:
-                datetime.date.fromisoformat(self.date)
-            except ValueError as error:
+                found = datetime.date.fromisoformat(self.date).isoformat()
+            except ValueError:
+                found = ""
+            if found != self.date:  # 20260314 and 2026-W11-6 are dates too, but not in a DCC
                 raise ValueError(
                     f"found date = {self.date!r}, expected year, month and day such as 2026-03-14; "
                     "correct it"
-                ) from error
+                )
         return self
 
 
 class ContactSettings(Statement):
     """A laboratory or a customer, with its address."""
 
-    name: _Text | None = None
+    name: Words | None = None
     """Name of the organisation."""
-    street: _Text | None = None
+    street: Words | None = None
     """Street and number."""
-    post_code: _Text | None = None
+    post_code: Words | None = None
     """Postal code."""
-    city: _Text | None = None
+    city: Words | None = None
     """Town or city."""
     country: str | None = Field(default=None, pattern="^[A-Z]{2}$")
     """Country by ISO 3166-1, two capital letters."""
-    e_mail: _Text | None = None
+    e_mail: Words | None = None
     """Electronic address."""
 
 
@@ -105,13 +115,13 @@ class CertificateSettings(Statement):
     ``vcal certificate``.
     """
 
-    number: _Text | None = None
+    number: Words | None = None
     """Unique number of the certificate, given by the laboratory."""
-    responsible: _Text | None = None
+    responsible: Words | None = None
     """Name of the person who is responsible for the certificate."""
     place: Literal["laboratory", "customer", "other"] = "customer"
     """Where the machine was measured."""
-    equipment: _Text | None = None
+    equipment: Words | None = None
     """Measuring equipment, with its serial number and the certificate of its own calibration, which
     makes the results traceable; the kinds of the instruments by default."""
     laboratory: ContactSettings = ContactSettings()
@@ -121,9 +131,9 @@ class CertificateSettings(Statement):
 class MachineStatement(Statement):
     """What ``[machine]`` states of the machine as an item."""
 
-    manufacturer: _Text | None = None
-    model: _Text | None = None
-    serial_number: _Text | None = None
+    manufacturer: Words | None = None
+    model: Words | None = None
+    serial_number: Words | None = None
 
 
 class Statements(Statement):

@@ -1,7 +1,8 @@
 """Circular arcs and helices in a plane of two axes (RS-274/NGC, clause 3.5.3)."""
 
 import math
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -130,16 +131,17 @@ def radius_arc(
     return centre_arc(plane, counter_clockwise, start, end, centre)
 
 
-def circle_through(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Centres (n, 2) and radii (n,) of the circles through three points (n, 2) each.
+_C = TypeVar("_C", float, np.ndarray)
+"""A coordinate, mm: of one point, or (n,) of many."""
 
-    With p = b - a and q = c - a, the centre is a + (|p|^2 q - |q|^2 p) rotated by -90 degrees,
-    divided by 2 p x q. Points on a line give no finite circle.
+
+def centre_through(a: Sequence[_C], b: Sequence[_C], c: Sequence[_C]) -> tuple[_C, _C]:
+    """Centre, relative to `a`, of the circle through three points of two coordinates each.
+
+    With p = b - a and q = c - a, it is (|p|^2 q - |q|^2 p) rotated by -90 degrees, divided by
+    2 p x q. Points on a line give no finite circle.
     """
-    p, q = b - a, c - a
-    cross = 2.0 * (p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0])
-    pp, qq = np.sum(p * p, 1), np.sum(q * q, 1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        x = (q[:, 1] * pp - p[:, 1] * qq) / cross
-        y = (p[:, 0] * qq - q[:, 0] * pp) / cross
-    return a + np.stack([x, y], 1), np.hypot(x, y)
+    px, py, qx, qy = b[0] - a[0], b[1] - a[1], c[0] - a[0], c[1] - a[1]
+    cross = 2.0 * (px * qy - py * qx)
+    pp, qq = px * px + py * py, qx * qx + qy * qy
+    return (qy * pp - py * qq) / cross, (px * qq - qx * pp) / cross

@@ -11,6 +11,10 @@ from .options import NcOptions
 _AXES = "XYZ"
 _OTHERS = frozenset("ABCUVW")
 _CENTRES = frozenset("IJKR")
+_FARTHEST_MM = 1e5
+"""No machine is longer; a larger number is a slip, or of another unit."""
+_OUTSIDE_MM = 1e-3
+_MOST_TURNS = 1000
 _CENTRE = {17: ("I", "J"), 18: ("K", "I"), 19: ("J", "K")}
 
 
@@ -27,6 +31,8 @@ class Interpreter:
         self.flow_cause = Cause(0, "")
         self.ended = False
         self.percents = 0
+        self.outside: list[tuple[int, list[str]]] = []
+        """Lines whose moves end outside of the calibrated travels, with the axes."""
 
     def read(self, block: Block) -> Move | Left:
         """What a block does. Raises `StudyError` for one that cannot be read."""
@@ -208,6 +214,7 @@ class Interpreter:
             return self._left(block, named, axes, cause, known=True)
         frame = self.state.frame(block.line)
         end = self._end(frame, axes)
+        self._check_near(block.line, end)
         missing = [i for i in range(3) if end[i] is None]
         if missing or self.state.length_unknown:
             cause = self.state.length_unknown or self.state.unknown[missing[0]]
@@ -242,6 +249,8 @@ class Interpreter:
         centre = {c: letters[c] for c in "IJKRP" if c in letters} if self.state.motion > 1 else {}
         if self.state.motion > 1:
             arc = self._arc(frame, start, end, centre) if begun else None
+            if arc is not None and max(arc.radius) > _FARTHEST_MM:
+                arc = None
             if arc is None:
                 text = "an arc whose circle is not determined by its words"
                 cause = self.state.cause(block.line, text) if begun else self.state.first_unknown()
@@ -255,6 +264,8 @@ class Interpreter:
                 self.state.cause(block.line, text, True)
         else:
             pieces = [line_piece(start, end, self.state.directions, tool)]
+        if self.options.travels_mm:
+            self._note_outside(block, end)
         self.state.position = [*end]
         if "point" not in self.state.notes and _without_point(block.text, axes):
             text = "numbers without a decimal point are in the unit of the program"
@@ -277,6 +288,25 @@ class Interpreter:
             feed,
         )
 
+    def _check_near(self, line: int, end: list[float | None]) -> None:
+        for axis, at in zip(_AXES, end, strict=True):
+            if at is not None and not abs(at) <= _FARTHEST_MM:
+                self.state.refuse(
+                    line,
+                    f"the axis position {axis} = {at:.6g} mm",
+                    f"one within {_FARTHEST_MM:g} mm of zero",
+                    "correct the number, the unit or the work offset",
+                )
+
+    def _note_outside(self, block: Block, end: Point) -> None:
+        """Count a move that ends outside of the calibrated travels."""
+        travels = zip(_AXES, end, self.options.travels_mm, strict=True)
+        outside = [
+            a for a, at, (low, high) in travels if not low - _OUTSIDE_MM <= at <= high + _OUTSIDE_MM
+        ]
+        if outside:
+            self.outside.append((block.line, outside))
+
     def _end(self, frame: Frame, axes: dict[int, Word]) -> list[float | None]:
         end = list(self.state.position)
         for i, word in axes.items():
@@ -297,7 +327,7 @@ class Interpreter:
         values = {c: float(w.value or 0.0) for c, w in words.items()}
         ccw = self.state.motion == 3
         turns = values.get("P", 1.0)
-        if turns < 1 or turns != round(turns):
+        if not 1 <= turns <= _MOST_TURNS or turns != round(turns):
             return None
         if "R" in values:
             if turns != 1 or any(c in values for c in "IJK"):

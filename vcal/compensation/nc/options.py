@@ -48,6 +48,8 @@ class NcOptions:
     shortest_period_mm: float = 5.0
     """Shortest period of the displacement along a path. Samples lie four to a period, and the bound
     of the deviation between them holds for this period and longer ones."""
+    travels_mm: Sequence[Sequence[float]] = ()
+    """Lowest and highest calibrated position of X, Y and Z. Moves that end beyond are reported."""
     ignored_codes: Sequence[str] = ()
     """Further G codes that move nothing and do not change how coordinates are read, as `"G187"`."""
 

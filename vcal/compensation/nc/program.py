@@ -10,6 +10,7 @@ from pathlib import Path
 
 from ...errors import StudyError
 from ...files import naming
+from ...words import counted
 from . import blocks
 from .interpreter import Interpreter
 from .moves import Left, Move, Piece
@@ -193,6 +194,16 @@ class _Correction:
         )
 
     def _own_warnings(self) -> Iterator[NcWarning]:
+        if outside := self.interpreter.outside:
+            axes = sorted({axis for _, found in outside for axis in found})
+            travels = dict(zip("XYZ", self.options.travels_mm, strict=True))
+            ends = ", ".join(f"{a} {travels[a][0]:.6g} to {travels[a][1]:.6g} mm" for a in axes)
+            last, many = outside[-1][0], counted(len(outside), "move")
+            text = (
+                f"{many} up to line {last} beyond the calibrated travels ({ends}), where errors "
+                "are extrapolated"
+            )
+            yield NcWarning(tuple(line for line, _ in outside[:5]), text, 0, last)
         if self.too_fast:
             text = "the correction changes too fast along the move to keep the tolerance"
             yield NcWarning(tuple(self.too_fast[:5]), text, 0, self.too_fast[-1])

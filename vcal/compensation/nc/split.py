@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .arcs import AXES, circle_through
+from .arcs import AXES, centre_through
 from .moves import Piece
 from .options import Displacement, NcOptions
 from .solve import Points, corrections
@@ -247,7 +247,9 @@ def _on_circles(
         if not of.any():
             continue
         a, b, c = (corrected[k[of]][:, (u, v)] for k in (low, middle, high))
-        centre, radius = circle_through(a, b, c)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            to = np.stack(centre_through(a.T, b.T, c.T), 1)  # type: ignore[type-var]
+        centre, radius = a + to, np.hypot(*to.T)
         begin = np.arctan2(*(a - centre).T[::-1])
         end = np.arctan2(*(c - centre).T[::-1])
         way = np.sign(turn[of])

@@ -5,10 +5,8 @@ import operator
 from decimal import Decimal
 from typing import NamedTuple
 
-import numpy as np
-
 from . import codes
-from .arcs import AXES, circle_through
+from .arcs import AXES, centre_through
 from .blocks import Block, Word
 from .moves import Frame, Left, Move
 from .options import NcOptions
@@ -39,7 +37,8 @@ class Grid:
 
     def text(self, value: float) -> str:
         """The nearest number, with a decimal point: ``"10.0"``, ``"-0.0312"``."""
-        text = (self.format % (round(value / self.resolution) * self.resolution)).rstrip("0")
+        resolution = self.resolution
+        text = (self.format % (round(value / resolution) * resolution)).rstrip("0")
         return text + "0" if text[-1] == "." else text
 
 
@@ -178,14 +177,17 @@ class Writer:
         """The programmed block, with the words that change replaced."""
         block = move.block
         edit = _Edit(block, self.separator)
+        start = list(self.at)
+        coordinates = self._coordinates(move, target)
+        if self._too_flat(move, target, start):
+            target = target._replace(middle=None)
         code = self._code(move, target)
         if move.named is None:
             if self.motion != code:
                 edit.before_axes(f"G{code}")
         elif code != move.motion:
             edit.replace(move.named, f"G{code}")
-        start = list(self.at)
-        for i, text in enumerate(self._coordinates(move, target)):
+        for i, text in enumerate(coordinates):
             word = move.axes.get(i)
             if text is None:
                 continue
@@ -225,10 +227,11 @@ class Writer:
     def _further(self, move: Move, target: Target, feed: str | None) -> list[str]:
         """Words of a further block; none where it would move nothing."""
         start = list(self.at)
-        words = []
-        for i, text in enumerate(self._coordinates(move, target, further=True)):
-            if text is not None:
-                words.append(_LETTERS[i] + text)
+        coordinates = self._coordinates(move, target, further=True)
+        if self._too_flat(move, target, start):
+            target, self.at = target._replace(middle=None), list(start)
+            coordinates = self._coordinates(move, target, further=True)
+        words = [_LETTERS[i] + text for i, text in enumerate(coordinates) if text is not None]
         if not words:
             return []
         code = self._code(move, target)
@@ -240,6 +243,22 @@ class Writer:
             words += [letter + grid.text(value) for letter, value in centre.items()]
         self.motion = code
         return [*words, feed] if feed is not None else words
+
+    def _too_flat(self, move: Move, target: Target, start: list[float]) -> bool:
+        """Whether an arc between the written ends is a straight line within half a step.
+
+        Rounding of the ends can bend a short arc to the other side; the circle through its middle
+        would then be driven the long way round.
+        """
+        if target.middle is None:
+            return False
+        u, v, _ = AXES[move.plane]
+        x, y = self.at[u] - start[u], self.at[v] - start[v]
+        chord = math.hypot(x, y)
+        across = x * (target.middle[v] - start[v]) - y * (target.middle[u] - start[u])
+        sagitta = across if move.motion == 2 else -across  # G3 has its middle right of the chord
+        half = 0.5 * self._grid(move.frame).resolution * move.frame.scale
+        return not sagitta > half * chord
 
     def _code(self, move: Move, target: Target) -> int:
         return min(move.motion, 1) if target.middle is None else move.motion
@@ -282,16 +301,16 @@ class Writer:
         """
         u, v, _ = AXES[move.plane]
         assert target.middle is not None
-        a, b, c = (np.array([[p[u], p[v]]]) for p in (start, target.middle, self.at))
-        centre, radius = circle_through(a, b, c)
+        a, b, c = ((p[u], p[v]) for p in (start, target.middle, self.at))
+        x, y = centre_through(a, b, c)
         frame = move.frame
         if "R" in move.centre_words:
-            return {"R": float(radius[0]) / frame.scale}
+            return {"R": math.hypot(x, y) / frame.scale}
         zero = frame.origin if move.centre_absolute else start
         first, second = _CENTRE[move.plane]
         return {
-            first: (float(centre[0, 0]) - zero[u]) / frame.scale,
-            second: (float(centre[0, 1]) - zero[v]) / frame.scale,
+            first: (start[u] + x - zero[u]) / frame.scale,
+            second: (start[v] + y - zero[v]) / frame.scale,
         }
 
     # --- text -------------------------------------------------------------------------------------
@@ -379,11 +398,13 @@ class _Edit:
         parts: list[tuple[int, int, str]] = [(a, b, t) for a, (b, t) in self.changes.items()]
         if self.first or self.inserted or self.end:
             self._insert(parts)
-        line, at, out = self.block.text, 0, []
-        for start, end, text in sorted(parts, key=_PLACE):
-            out += [line[at:start], text]
-            at = max(at, start, end)
-        return "".join(out) + line[at:]
+        line, at, out = self.block.text, 0, ""
+        if len(parts) > 1:
+            parts.sort(key=_PLACE)
+        for start, end, text in parts:
+            out += line[at:start] + text
+            at = end if end > at else max(at, start)
+        return out + line[at:]
 
     def _insert(self, parts: list[tuple[int, int, str]]) -> None:
         words = self.block.words

@@ -35,8 +35,8 @@ def what_to_do(closure: Closure, moved: dict[str, Reach]) -> list[Section]:
     size = moved[first.effect.key].largest
     inner = _inner(first)
     lead = (
-        f"{text.sentence_of(inner.summary)[:-1]} ({first.name}) moves the tool point by up to "
-        f"{text.number(_UM * size)} µm."
+        f"{text.sentence_of(inner.summary)[:-1]}{_amount(first)}: {first.name} moves the tool "
+        f"point by up to {text.number(_UM * size)} µm."
         if size > 0.0
         else "What was found belongs to the instrument; it does not move the tool point."
     )
@@ -47,6 +47,14 @@ def what_to_do(closure: Closure, moved: dict[str, Reach]) -> list[Section]:
     )
     table = Table(header, rows, "llrr", note=note)
     return [Section("What to do", (lead,), points=tuple(_remedies(listed)), tables=(table,))]
+
+
+def _amount(one: FoundEffect) -> str:
+    """Size of an effect with one parameter; its sign is in the table of the effect."""
+    if len(one.parameters) != 1:
+        return ""
+    ((_, value, unit, _),) = one.parameters
+    return f", {text.number(abs(value))} {text.unit(unit)}"
 
 
 def _row(one: FoundEffect, moved: Reach) -> tuple[str, ...]:
