@@ -25,10 +25,9 @@ from records import forget_programs, parser_of, write
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
+import vcal  # noqa: E402
 from broken_studies import Outcome, read, studies  # noqa: E402
 from quick_programs import compile_quickly  # noqa: E402
-
-import vcal  # noqa: E402
 from vcal.errors import StudyError  # noqa: E402
 
 _LIMIT_S = 10.0
