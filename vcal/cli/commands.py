@@ -438,6 +438,14 @@ def import_(
             "--unchecked", help="Write the folder even where it does not pass vcal check."
         ),
     ] = False,
+    allow_outside: Annotated[
+        bool,
+        typer.Option(
+            "--allow-outside",
+            help="Read a URDF file that the study of --machine names outside its folder, also by "
+            "a link.",
+        ),
+    ] = False,
     list_: Annotated[
         bool, typer.Option("--list", help="List the formats with their sources, and exit.")
     ] = False,
@@ -467,6 +475,7 @@ def import_(
             time_format=time_format,
             overrides=override or [],
             checked=not unchecked,
+            allow_outside=allow_outside,
         )
     for sentence in sentences:
         say(sentence)

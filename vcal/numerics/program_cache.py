@@ -1,6 +1,7 @@
 """Compiled programs that are kept from process to process, in the cache folder of the user."""
 
 import os
+import stat
 import warnings
 from pathlib import Path
 
@@ -32,7 +33,7 @@ def keep_programs() -> None:
     cache only saves time.
     """
     folder = cache_folder()
-    if folder is None or jax.config.jax_compilation_cache_dir is not None:  # pyright: ignore[reportAttributeAccessIssue]
+    if folder is None or _configured() is not None:
         return
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -47,17 +48,27 @@ def keep_programs() -> None:
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
+def _configured() -> str | None:
+    """The cache folder of JAX, where the user has set one."""
+    return jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
+
+
 def _is_safe(folder: Path) -> bool:
     """Whether a folder and all programs in it belong to the user, and nobody else may write them.
 
-    Programs that somebody else wrote before the folder was closed to others would be run too.
+    Programs that somebody else wrote before the folder was closed to others would be run too. The
+    permissions of a file count where others can reach it: a folder that vcal makes is closed.
     """
     if not is_own(folder):
         return False
     if not hasattr(os, "getuid"):
         return True
+    reached = folder.stat().st_mode & (stat.S_IXGRP | stat.S_IXOTH)
+    others = (stat.S_IWGRP | stat.S_IWOTH) if reached else 0
     with os.scandir(folder) as entries:
-        return all(
-            entry.stat(follow_symlinks=False).st_uid == os.getuid() and not entry.is_symlink()
-            for entry in entries
-        )
+        return all(_is_own_file(entry, others) for entry in entries)
+
+
+def _is_own_file(entry: "os.DirEntry[str]", others: int) -> bool:
+    found = entry.stat(follow_symlinks=False)
+    return found.st_uid == os.getuid() and not entry.is_symlink() and not found.st_mode & others
