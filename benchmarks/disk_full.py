@@ -29,7 +29,6 @@ import vcal.fleet.fleet  # noqa: E402
 import vcal.study.close_study  # noqa: E402
 from full_disk import EveryWrite, full_disk  # noqa: E402
 from histories import write_reports  # noqa: E402
-from quick_programs import compile_quickly  # noqa: E402
 from vcal.cli import app  # noqa: E402
 from vcal.compensation import FORMATS  # noqa: E402
 
@@ -238,8 +237,6 @@ def main() -> None:
     parser = parser_of(__doc__, "disk_full")
     parser.add_argument("--only", help="Names of commands, separated by semicolons.")
     options = parser.parse_args()
-    os.environ["VCAL_NO_CACHE"] = "1"
-    compile_quickly()
     # The processes of several studies would not have this disk.
     vcal.fleet.fleet.in_processes = lambda work, jobs, workers: (
         (i, work(job)) for i, job in enumerate(jobs)
@@ -247,6 +244,7 @@ def main() -> None:
     remember(vcal.study.close_study, "close_loop")
     with tempfile.TemporaryDirectory() as temporary:
         work = Path(temporary).resolve()
+        os.environ["XDG_CACHE_HOME"] = str(work / "cache")  # no program is compiled twice
         prepare(work)
         chosen = commands(work)
         if options.only:
