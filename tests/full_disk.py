@@ -1,4 +1,6 @@
-"""A disk that is full from the n-th write on: every way of Python to write a file fails then."""
+"""A disk that is full from the n-th write on, or that can no longer be written: every way of Python
+to write a file fails then.
+"""
 
 import builtins
 import errno
@@ -25,8 +27,10 @@ class FullDisk:
     renames count. Files can still be removed, as on a real disk.
     """
 
-    def __init__(self, folder: Path, fails_at: int | None = None):
+    def __init__(self, folder: Path, fails_at: int | None = None, error: int = errno.ENOSPC):
         self.folder, self.fails_at = str(Path(folder).resolve()), fails_at
+        self.error = error
+        self.forked = False
         self.count = 0
         self.failed = ""
 
@@ -37,8 +41,7 @@ class FullDisk:
         self.count += 1
         if self.fails_at is not None and self.count >= self.fails_at:
             self.failed = self.failed or name
-            number = errno.ENOSPC
-            raise OSError(number, os.strerror(number), *([name] if named else []))
+            raise OSError(self.error, os.strerror(self.error), *([name] if named else []))
 
 
 class EveryWrite(FullDisk):
@@ -54,7 +57,7 @@ class EveryWrite(FullDisk):
     def __init__(self, folder: Path, limit_s: float = 60.0):
         super().__init__(folder)
         self.limit_s, self.answers = limit_s, {}
-        self.forked = self._busy = False
+        self._busy = False
         self._pipe = -1
 
     def spend(self, path, named=True):

@@ -9,8 +9,8 @@ import shutil
 import socket
 import zipfile
 from pathlib import Path
+from types import SimpleNamespace
 
-import jax
 import pytest
 
 import vcal
@@ -247,11 +247,10 @@ def test_code_outside_is_not_run_even_with_trust(study, mark, tmp_path, way):
 @posix
 def test_programs_that_others_may_write_are_not_run(tmp_path, monkeypatch):
     """A compiled program that is read from the cache is run."""
-    set_to = {}
-    monkeypatch.setattr(jax.config, "update", set_to.__setitem__)
+    folder, set_to = tmp_path / "cache", {}
+    config = SimpleNamespace(jax_compilation_cache_dir=None, update=set_to.__setitem__)
+    monkeypatch.setattr(program_cache.jax, "config", config)
     monkeypatch.setattr(program_cache, "cache_folder", lambda: folder)
-    monkeypatch.setattr(program_cache, "_configured", lambda: None)
-    folder = tmp_path / "cache"
 
     def used():
         set_to.clear()

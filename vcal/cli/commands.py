@@ -16,7 +16,7 @@ from ..demo import starts
 from ..words import counted
 from . import interruption, output
 from .printing import browser_for, print_with, require_page
-from .session import MISTAKE, guarded, import_modules, say, start, working
+from .session import MISTAKE, guarded, import_modules, say, start, telling, working
 
 if TYPE_CHECKING:
     from ..fleet.one_study import Settings
@@ -790,7 +790,9 @@ def check(
         # The picture of the declared machine may show why.
         seen = outline(setup, override or [], allow_outside=allow_outside)
         if seen is not None:
-            page = write_refused(seen, str(error), out, command=command)
+            mistake = str(error)
+            with telling(lambda: [mistake]):
+                page = write_refused(seen, mistake, out, command=command)
             say(f"Page: {page}")
             print_with(browser, page)
         raise

@@ -33,7 +33,7 @@ def keep_programs() -> None:
     cache only saves time.
     """
     folder = cache_folder()
-    if folder is None or _configured() is not None:
+    if folder is None or jax.config.jax_compilation_cache_dir is not None:  # pyright: ignore[reportAttributeAccessIssue]
         return
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -46,11 +46,6 @@ def keep_programs() -> None:
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", _WORTH_KEEPING_S)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-
-
-def _configured() -> str | None:
-    """The cache folder of JAX, where the user has set one."""
-    return jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def _is_safe(folder: Path) -> bool:
