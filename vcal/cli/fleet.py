@@ -40,15 +40,20 @@ def close_all(
     browser = browser_for(pdf)
     start()
     settings = Settings(tuple(overrides), trust, compensate_anyway, again, allow_outside)
-    with (
-        client_of(None, scheduler) as client,
-        working(f"closing the loop on {counted(len(setups), 'study', 'studies')}") as progress,
-    ):
-        fleet = close_fleet(
-            setups, out, settings,
-            workers=workers or 1, client=client, command=command, progress=progress,
-            ended=_show,
-        )  # fmt: skip
+    members: list[Member] = []
+    try:
+        with (
+            client_of(None, scheduler) as client,
+            working(f"closing the loop on {counted(len(setups), 'study', 'studies')}") as progress,
+        ):
+            fleet = close_fleet(
+                setups, out, settings,
+                workers=workers or 1, client=client, command=command, progress=progress,
+                ended=members.extend,
+            )  # fmt: skip
+    finally:
+        if members:  # whatever becomes of the page
+            _show(members)
     say(f"Page: {fleet.page}")
     print_with(browser, fleet.page)
     if fleet.interrupted:
