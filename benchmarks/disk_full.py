@@ -14,7 +14,7 @@ import shutil
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from records import parser_of, write
@@ -43,7 +43,7 @@ class Command:
 
     words: list[str]
     verdict: str = ""
-    """The beginning of what it says about its result."""
+    """What it says about its result; ``*``: the first line that it prints."""
     earlier: bool = True
     """Whether it may be repeated into the folder of an earlier result."""
     code: int = 0
@@ -81,7 +81,6 @@ def commands(work: Path) -> dict[str, Command]:
     """All commands that write, with small studies."""
     study, report = str(work / "study"), str(work / "first-report")
     balls = ["design", str(work / "balls"), "--set", "design.steps=2", "--set", "design.starts=1"]
-    declared = "The declared model"
     found = {
         "init": Command(["init"], earlier=False),
         "import": Command(
@@ -93,22 +92,22 @@ def commands(work: Path) -> dict[str, Command]:
             earlier=False,
         ),
         "simulate": Command(["simulate", study, "--out"], earlier=False),
-        "check": Command(["check", study, "--out"], "can be used"),
+        "check": Command(["check", study, "--out"], "*"),
         "check, refused": Command(
             ["check", study, "--set", "data.check=missing.csv", "--out"], "missing.csv", code=2
         ),
         "effects": Command(["effects", "backlash", "--out"]),
-        "loop": Command(["loop", study, *_FEW, "--out"], declared),
+        "loop": Command(["loop", study, *_FEW, "--out"], "*"),
         "loop, two studies": Command(
             ["loop", study, str(work / "second"), *_FEW, "--again", "--out"], "up to date",
             lines=3, kept="reports/",
         ),
-        "demo": Command(["demo", "--out"], declared),
-        "uncertainty": Command(["uncertainty", study, "--draws", "20", "--out"], "This plan"),
-        "design": Command([*balls, "--out"], "The"),
+        "demo": Command(["demo", "--out"], "*"),
+        "uncertainty": Command(["uncertainty", study, "--draws", "20", "--out"], "*"),
+        "design": Command([*balls, "--out"], "*"),
         "design --next": Command(
             ["design", study, "--next", *_FEW, "--set", "design.steps=1", "--set",
-             "design.starts=1", "--out"], "The",
+             "design.starts=1", "--out"], "*",
         ),
         "reproduce": Command(["reproduce", "acceleration", "--draws", "20", "--out"]),
         **{
@@ -123,7 +122,7 @@ def commands(work: Path) -> dict[str, Command]:
         "certificate": Command(
             ["certificate", report, "--draft", "--out"], earlier=False, name="out.xml"
         ),
-        "history": Command(["history", str(work / "reports"), "--out"], "1 of"),
+        "history": Command(["history", str(work / "reports"), "--out"], "*"),
     }  # fmt: skip
     return found
 
@@ -175,9 +174,11 @@ def every_write(name: str, command: Command, home: Path) -> dict:
     out = home / command.name
     words = [*command.words, *[str(out)] * command.writes]
     if command.earlier and command.writes:
-        code, _, said = run(words)
+        code, shown, said = run(words)
         if code != command.code:
             raise SystemExit(f"{name}: {said}")
+        if command.verdict == "*":
+            command = replace(command, verdict=shown.split("\n")[0])
     before = contents(out)
     start = home.parent / "start"
     shutil.rmtree(start, ignore_errors=True)

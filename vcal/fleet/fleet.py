@@ -49,8 +49,8 @@ def close_fleet(
     `workers` is the number of processes; with a `distributed.Client` as `client`, its workers do
     the work, which must see the same folders. A study that cannot be used, that fails or whose
     process ends does not affect the others. A report that is up to date (same files, settings and
-    versions) is kept, so that an interrupted call is resumed by repeating it. At the end, `ended` is
-    called with all members, also where the page that lists them cannot be written.
+    versions) is kept, so that an interrupted call is resumed by repeating it. `ended` gets all
+    members at the end, also where the page that lists them cannot be written.
 
     Raises `StudyError` where a study is named twice, and where `out` has other content.
     """
