@@ -1,115 +1,164 @@
 """Broken studies: how many are refused, how many can be computed, whether anything else happens.
 
-    python benchmarks/fuzz.py --inputs 10000 --computed 200 --seed 0
-
 It reads mutations of the start studies (tests/broken_studies.py, made by hypothesis), and runs the
-loop to the end on some of those that are accepted. The counts go to results/fuzz.json. An exception
-other than a message ends the campaign: the input is written to build/fuzz for a test of its own.
+loop to the end on some of those that are accepted. Each input may take ten seconds of CPU. An
+exception other than a message, or an input that takes longer, is kept in build/fuzz for a test of
+its own.
+
+    python benchmarks/fuzz.py --inputs 10000 --computed 200
 """
 
-import argparse
-import json
+import math
+import resource
 import shutil
+import signal
 import sys
 import tempfile
 import time
 import traceback
 from collections import Counter
+from contextlib import contextmanager
 from pathlib import Path
 
 import hypothesis
+from records import forget_programs, parser_of, write
 
-import vcal
-from vcal.errors import StudyError
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent / "tests"))
+import vcal  # noqa: E402
 from broken_studies import Outcome, read, studies  # noqa: E402
+from quick_programs import compile_quickly  # noqa: E402
+from vcal.errors import StudyError  # noqa: E402
 
-SLOW = 10.0
-"""Seconds of CPU in which a study has to be read."""
-
-
-def main() -> int:
-    """Run a campaign; returns the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--inputs", type=int, default=10_000)
-    parser.add_argument("--computed", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--batch", type=int, default=500, help="inputs per run of hypothesis")
-    given = parser.parse_args()
-    vcal.enable_float64()
-    outcome, more = Outcome(), Counter()
-    slowest, batch, failed = 0.0, 0, 0
-    with tempfile.TemporaryDirectory() as work:
-        folder = Path(work)
-        while outcome.counts["inputs"] < given.inputs:
-            size = min(given.batch, given.inputs - outcome.counts["inputs"])
-
-            def one(made: tuple) -> None:
-                nonlocal slowest, failed
-                if outcome.counts["inputs"] >= given.inputs:
-                    return
-                began = time.process_time()
-                try:
-                    study = read(folder, *made, outcome)
-                    if study is not None and more["computed"] < given.computed:
-                        compute(study, more)
-                except Exception:
-                    failed += 1
-                    keep(folder, failed)
-                    return
-                seconds = time.process_time() - began
-                more["slow"] += study is None and seconds > SLOW
-                slowest = max(slowest, seconds if study is None else 0.0)
-
-            settings = hypothesis.settings(
-                max_examples=size,
-                deadline=None,
-                database=None,
-                phases=[hypothesis.Phase.generate],
-                suppress_health_check=list(hypothesis.HealthCheck),
-            )
-            seeded = hypothesis.seed(given.seed + batch)
-            seeded(settings(hypothesis.given(studies())(one)))()
-            batch += 1
-            print(dict(outcome.counts), dict(more), f"exceptions {failed}", flush=True)
-    result = {
-        "seed": given.seed,
-        "counts": dict(sorted(outcome.counts.items())),
-        "loop": dict(sorted(more.items())),
-        "exceptions": failed,
-        "slowest_refusal_s": round(slowest, 2),
-    }
-    (HERE / "results" / "fuzz.json").write_text(json.dumps(result, indent=2) + "\n")
-    return 1 if failed or more["slow"] else 0
+_LIMIT_S = 10.0
+"""CPU time in which a study has to be read, s."""
+_LOOP_LIMIT_S = 120.0
+_KEPT = Path(__file__).resolve().parents[1] / "build" / "fuzz"
 
 
-def compute(study: vcal.Study, more: Counter) -> None:
-    """Close the loop with few draws and few effects."""
-    if study.measurement is None:
-        more["plans"] += 1
-        return
-    more["computed"] += 1
+class HangError(Exception):
+    """An input took more CPU time than it may."""
+
+
+@contextmanager
+def limited(seconds: float):
+    """Context that raises `HangError` after that CPU time of this process."""
+
+    def late(*_):
+        raise HangError(f"more than {seconds:g} s of CPU")
+
+    before = signal.signal(signal.SIGPROF, late)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
+
+
+class Campaign:
+    """Reads inputs one by one, and counts what becomes of them."""
+
+    def __init__(self, folder: Path, inputs: int, computed: int):
+        self.folder, self.inputs, self.computed = folder, inputs, computed
+        self.outcome, self.loops, self.kept = Outcome(), Counter(), Counter()
+        self.slowest = {"refused": 0.0, "accepted": 0.0, "loop": 0.0}
+
+    @property
+    def left(self) -> int:
+        """Number of inputs that are still to be read."""
+        return self.inputs - self.outcome.counts["inputs"]
+
+    def one(self, made: tuple) -> None:
+        """Read one input, and run the loop on it while there are loops to run."""
+        if self.left <= 0:
+            return
+        if self.outcome.counts["inputs"] % 20 == 0:
+            forget_programs()
+        began = time.process_time()
+        try:
+            with limited(_LIMIT_S):
+                study = read(self.folder, *made, self.outcome)
+            self._took("refused" if study is None else "accepted", began)
+            if study is None or study.measurement is None or self.loops["run"] >= self.computed:
+                return
+            began = time.process_time()
+            with limited(_LOOP_LIMIT_S):
+                self.loops["run"] += 1
+                self.loops[ended(study)] += 1
+            self._took("loop", began)
+        except HangError:
+            self._keep("hangs")
+        except Exception:
+            self._keep("exceptions")
+
+    def _took(self, what: str, began: float) -> None:
+        self.slowest[what] = max(self.slowest[what], time.process_time() - began)
+
+    def _keep(self, kind: str) -> None:
+        """Keep an input that raised an exception, with the traceback."""
+        self.kept[kind] += 1
+        to = _KEPT / f"{sum(self.kept.values()):03d}"
+        shutil.rmtree(to, ignore_errors=True)
+        shutil.copytree(self.folder, to)
+        (to / "traceback.txt").write_text(traceback.format_exc(), encoding="utf-8")
+        print(f"kept {to}: {traceback.format_exc().splitlines()[-1][:300]}", flush=True)
+
+
+def ended(study: vcal.Study) -> str:
+    """Close the loop with few draws and few effects; how it ended."""
     try:
         closure = vcal.close_loop(
             study.model, study.measurement, check=study.check, draws=25, max_effects=2
         )
     except StudyError as error:
         assert len(str(error)) <= 1500, str(error)[:300]
-        more["refused by the loop"] += 1
-        return
-    more["named an effect" if closure.found else "named none"] += 1
+        return "refused"
+    return "with an effect" if closure.found else "without an effect"
 
 
-def keep(folder: Path, number: int) -> None:
-    """Keep an input that raised an exception, with the traceback."""
-    to = HERE.parent / "build" / "fuzz" / f"{number:03d}"
-    shutil.rmtree(to, ignore_errors=True)
-    shutil.copytree(folder, to)
-    (to / "traceback.txt").write_text(traceback.format_exc(), encoding="utf-8")
-    print(f"kept {to}: {traceback.format_exc().splitlines()[-1]}", flush=True)
+def main() -> None:
+    """Run a campaign."""
+    parser = parser_of(__doc__, "fuzz")
+    parser.add_argument("--inputs", type=int, default=10_000)
+    parser.add_argument("--computed", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--batch", type=int, default=500, help="inputs per run of hypothesis")
+    parser.add_argument("--minutes", type=float, default=math.inf)
+    options = parser.parse_args()
+    end = time.monotonic() + 60 * options.minutes
+    compile_quickly()
+    vcal.enable_float64()
+    with tempfile.TemporaryDirectory() as work:
+        campaign, batch = Campaign(Path(work), options.inputs, options.computed), 0
+        while campaign.left > 0 and time.monotonic() < end:
+            settings = hypothesis.settings(
+                max_examples=min(options.batch, campaign.left),
+                deadline=None,
+                database=None,
+                phases=[hypothesis.Phase.generate],
+                suppress_health_check=list(hypothesis.HealthCheck),
+            )
+            seeded = hypothesis.seed(options.seed + batch)
+            seeded(settings(hypothesis.given(studies())(campaign.one)))()
+            batch += 1
+            found = {**campaign.outcome.counts, **campaign.kept, "loops": campaign.loops["run"]}
+            print({**found, "cpu_s": round(time.process_time())}, flush=True)
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    record = {
+        "command": f"python benchmarks/fuzz.py --inputs {options.inputs} "
+        f"--computed {options.computed} --seed {options.seed}",
+        "counts": dict(sorted(campaign.outcome.counts.items())),
+        "loops": dict(sorted(campaign.loops.items())),
+        "exceptions": campaign.kept["exceptions"],
+        "hangs": campaign.kept["hangs"],
+        "slowest_s": {name: round(value, 2) for name, value in campaign.slowest.items()},
+        "cpu_s": round(used.ru_utime + used.ru_stime),
+    }
+    write(options.out, record)
+    print(record)
+    raise SystemExit(1 if campaign.kept else 0)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

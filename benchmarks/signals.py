@@ -1,12 +1,13 @@
 """Signals at random moments of six commands: all are honoured, and nothing is lost.
 
 Every command runs once without a signal, which gives its duration, and then again and again in the
-same folder with a Ctrl-C or SIGTERM at a random moment. Each time these must hold: the process ends
-within two seconds, with exit code 130 or 143 and one message; the folder holds the earlier report
-or a new one, whole; no temporary file is left. At the end every command runs once more.
+same folder with a Ctrl-C or SIGTERM at a random moment. Each time these must hold: the process
+ends within two seconds, with exit code 130 or 143 and one message; the folder holds the earlier
+report or a new one, whole; no temporary file is left. At the end every command runs once more.
 
-A moment before the first line of vcal, while Python starts, is not counted: the system ends the
-process then.
+A quarter of the processes are started as by a user. The others are forked off after the imports,
+which would take most of the time of a small study. A moment before the first line of vcal, while
+Python starts, is not counted: the system ends the process then.
 
     python benchmarks/signals.py --signals 200
 """
@@ -21,9 +22,14 @@ import subprocess
 import sys
 import tempfile
 import time
+import traceback
 from pathlib import Path
 
 from records import parser_of, write
+
+from vcal.cli import interruption
+from vcal.cli import main as main_of_vcal
+from vcal.cli.session import import_modules
 
 _STARTED_S = 0.2
 """Time in which Python itself starts, s."""
@@ -46,17 +52,63 @@ def commands(work: Path) -> dict[str, list[str]]:
     }  # fmt: skip
 
 
-def start(words: list[str], out: Path, cache: Path) -> subprocess.Popen:
-    """Start a command that listens to Ctrl-C, whatever this process does."""
-    usual = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.default_int_handler)}
-    return subprocess.Popen(
-        [sys.executable, "-m", "vcal", *words, str(out)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "XDG_CACHE_HOME": str(cache)},
-        **usual,
-    )
+class Started:
+    """A command that runs, and listens to Ctrl-C whatever this process does."""
+
+    def __init__(self, words: list[str], out: Path, forked: bool):
+        self.output = tempfile.TemporaryFile()  # noqa: SIM115
+        words = [*words, str(out)]
+        if forked:
+            ours, theirs = os.pipe()
+            self._process, self.pid = None, os.fork()
+            if self.pid == 0:
+                self._run(words, theirs)
+            os.close(theirs)
+            os.read(ours, 1)  # it listens to signals now
+            os.close(ours)
+        else:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "vcal", *words],
+                stdout=subprocess.DEVNULL,
+                stderr=self.output,
+                preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+            )
+            self.pid = self._process.pid
+
+    def _run(self, words: list[str], listens: int) -> None:
+        listen = interruption.listen
+
+        def say_so() -> None:
+            listen()
+            os.write(listens, b"1")
+
+        interruption.listen = say_so
+        try:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            for number, to in ((1, os.open(os.devnull, os.O_WRONLY)), (2, self.output.fileno())):
+                os.dup2(to, number)
+            sys.argv = ["vcal", *words]
+            main_of_vcal()
+        except SystemExit as stop:
+            os._exit(stop.code if isinstance(stop.code, int) else 1)
+        except BaseException:
+            traceback.print_exc()
+        os._exit(1)
+
+    def ended(self) -> bool:
+        """Whether it has ended."""
+        return os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+
+    def wait(self) -> tuple[int, str]:
+        """Exit code, or minus the number of a signal, and the messages."""
+        if self._process is None:
+            code = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
+        else:
+            code = self._process.wait()
+        self.output.seek(0)
+        text = self.output.read().decode()
+        self.output.close()
+        return code, text
 
 
 def sums(out: Path) -> dict[str, str]:
@@ -79,33 +131,37 @@ def is_whole(out: Path) -> bool:
     return False
 
 
-def one(name: str, words: list[str], work: Path, moment: random.Random, took: float) -> dict:
+def one(
+    name: str, words: list[str], work: Path, moment: random.Random, took: float, forked: bool
+) -> dict:
     """Send one signal to a command, and say what became of it."""
     out = work / f"{name}-out"
     if name == "simulate":  # it takes no folder of an earlier one
         out = work / f"{name}-{moment.randrange(10**9)}"
     before = sums(out) if out.exists() else {}
     number = moment.choice([signal.SIGINT, signal.SIGTERM])
-    at = moment.uniform(_STARTED_S, max(took, 2 * _STARTED_S))
-    process = start(words, out, work / "cache")
+    first = 0.0 if forked else _STARTED_S
+    at = moment.uniform(first, max(took, 2 * _STARTED_S))
+    process = Started(words, out, forked)
     time.sleep(at)
-    if process.poll() is not None:
-        process.communicate()
+    if process.ended():
+        process.wait()
         return {"command": name, "late": True}
     sent = time.perf_counter()
-    process.send_signal(number)
-    _, told = process.communicate()
+    os.kill(process.pid, number)
+    code, told = process.wait()
     seconds = time.perf_counter() - sent
     after = sums(out) if out.exists() else {}
     left = [p.name for p in work.iterdir() if p.name.startswith(f".{out.name}")]
-    ended = process.returncode in (128 + number, -number)
+    ended = code in (128 + number, -number)
     return {
         "command": name,
+        "forked": forked,
         "signal": signal.Signals(number).name,
         "at_s": round(at, 2),
         "of_s": round(took, 2),
         "seconds": round(seconds, 3),
-        "code": process.returncode,
+        "code": code,
         "honoured": ended and seconds <= _LIMIT_S,
         "told": told.count("vcal: ") == 1 and "Traceback" not in told,
         "whole": after == before or is_whole(out),
@@ -123,45 +179,43 @@ def main() -> None:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     options = parser.parse_args()
     moment, rows = random.Random(options.seed), []
+    import_modules()
     with tempfile.TemporaryDirectory() as temporary:
         work = Path(temporary)
+        os.environ["XDG_CACHE_HOME"] = str(work / "cache")
         for kind, folder in (("laser_tracker", "study"), ("ball_array", "balls")):
-            subprocess.run(
-                [sys.executable, "-m", "vcal", "init", str(work / folder), "--instrument", kind],
-                check=True, capture_output=True,
-            )  # fmt: skip
+            code, said = Started(["init", "--instrument", kind], work / folder, True).wait()
+            if code:
+                raise SystemExit(said)
         chosen = commands(work)
         if options.only:
             chosen = {name: chosen[name] for name in options.only.split(",")}
         took = {}
         for name, words in chosen.items():
-            for _ in range(2):  # the second one finds its programs compiled
+            for forked in (True, False, True):  # the first one compiles its programs
                 out = work / f"{name}-out"
                 if name == "simulate":
-                    out = work / f"{name}-first{_}"
+                    out = work / f"{name}-first{len(os.listdir(work))}"
                 begun = time.perf_counter()
-                process = start(words, out, work / "cache")
-                _, told = process.communicate()
-                took[name] = time.perf_counter() - begun
-                if process.returncode:
-                    raise SystemExit(f"{name} failed: {told}")
-            print(f"{name}: {took[name]:.1f} s", flush=True)
+                code, said = Started(words, out, forked).wait()
+                took[name, forked] = time.perf_counter() - begun
+                if code:
+                    raise SystemExit(f"{name} failed: {said}")
+            print(f"{name}: {took[name, False]:.1f} s, {took[name, True]:.1f} s", flush=True)
         while len(rows) < options.signals:
             name = list(chosen)[len(rows) % len(chosen)]
-            row = one(name, chosen[name], work, moment, took[name])
+            forked = len(rows) // len(chosen) % 4 != 0
+            row = one(name, chosen[name], work, moment, took[name, forked], forked)
             if "late" in row:  # it was faster than the first time
-                took[name] *= 0.95
+                took[name, forked] *= 0.95
                 continue
             rows.append(row)
             bad = not (row["honoured"] and row["told"] and row["whole"]) or row["left"]
             print(("BAD " if bad else "") + json.dumps(row), flush=True)
         after = {}
         for name, words in chosen.items():
-            process = start(
-                words, work / f"{name}-{'again' * (name == 'simulate')}out", work / "cache"
-            )
-            process.communicate()
-            after[name] = process.returncode
+            out = work / f"{name}-{'again' * (name == 'simulate')}out"
+            after[name] = Started(words, out, False).wait()[0]
     keys = ("honoured", "told", "whole")
     counts = {key: sum(row[key] for row in rows) for key in keys}
     counts["nothing left"] = sum(not row["left"] for row in rows)

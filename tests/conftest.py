@@ -3,8 +3,6 @@
 import ctypes
 import gc
 import os
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
@@ -14,15 +12,12 @@ import pytest
 import scipy.linalg  # noqa: F401  (so that its BLAS is there to be limited)
 from threadpoolctl import threadpool_limits
 
+from quick_programs import compile_quickly
 from vcal.cli.start_studies import write_start
 
 jax.config.update("jax_enable_x64", True)
 
-_LAZY = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
-_WHOLE = f"{_LAZY} --xla_cpu_parallel_codegen_split_count=1"
 _HOME = pytest.StashKey[tempfile.TemporaryDirectory]()
-_QUICK = (f"{_WHOLE} --xla_cpu_use_fusion_emitters=false", _WHOLE, _LAZY)
-"""The first that this release of XLA knows is taken; that of jax 0.12 has fewer flags."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -41,30 +36,13 @@ def pytest_configure(config: pytest.Config) -> None:
     if hasattr(config, "workerinput"):
         threadpool_limits(1)
     else:
-        _compile_quickly()
+        compile_quickly()
     # What a test trusts is not trusted by the user who runs it, whose settings change no test.
     home = config.stash.setdefault(_HOME, tempfile.TemporaryDirectory(prefix="vcal-home-"))
     for kind in ("CONFIG", "STATE"):
         os.environ[f"XDG_{kind}_HOME"] = str(Path(home.name).resolve() / kind.lower())
     for name, value in _programs(config).items():
         jax.config.update(name, value)
-
-
-def _compile_quickly() -> None:
-    """Most programs of a test run once: to make them fast takes longer than to run them. vcal's
-    own options give way to these flags, and the flags pass on to processes that are started from
-    here.
-
-    XLA ends a process that has a flag it does not know, so it is asked in another one.
-    """
-    if "XLA_FLAGS" in os.environ:
-        return
-    asked = [sys.executable, "-c", "import jax; jax.devices()"]
-    for flags in _QUICK:
-        quick = os.environ | {"XLA_FLAGS": flags}
-        if not subprocess.run(asked, env=quick, capture_output=True, check=False).returncode:
-            os.environ["XLA_FLAGS"] = flags
-            return
 
 
 def _programs(config: pytest.Config) -> dict[str, str | int | float]:

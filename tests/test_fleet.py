@@ -1,5 +1,6 @@
 """The loop closed on many studies: none harms another, and none is lost."""
 
+import errno
 import json
 import os
 import re
@@ -125,6 +126,29 @@ def test_what_fails_is_told_and_not_raised(study, tmp_path, monkeypatch):
     (study / "setup.toml").write_text("chain = ", encoding="utf-8")
     status, message = ended()
     assert status == "refused" and message.startswith("setup.toml, end of document")
+
+
+def test_what_has_become_of_all_is_told_where_the_page_cannot_be_written(
+    study, tmp_path, monkeypatch
+):
+    written = []
+
+    def write_index(*arguments, **keys):
+        if written:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(tmp_path / "index.html"))
+        written.append(arguments)
+
+    def in_processes(work, jobs, workers):
+        yield 0, Member(jobs[0], "refused", "data.csv: found 1, expected 2")
+
+    monkeypatch.setenv("VCAL_NO_CACHE", "1")
+    monkeypatch.setattr("vcal.fleet.fleet.write_index", write_index)
+    monkeypatch.setattr("vcal.fleet.fleet.in_processes", in_processes)
+    shown = run("loop", study, "--out", tmp_path / "out", "--again", code=2)
+    assert shown.stdout == "0 studies closed, 0 up to date, 1 without a report.\n"
+    first, last = shown.stderr.splitlines()
+    assert first == f"vcal: {study.name}: data.csv: found 1, expected 2"
+    assert last.startswith(f"vcal: {tmp_path / 'index.html'}: No space left on device; make room")
 
 
 def member(folder, name, status="closed", **content):

@@ -3,8 +3,10 @@ known is printed, and the next run works.
 """
 
 import errno
+import io
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,10 +19,10 @@ import pytest
 from typer.testing import CliRunner
 
 import vcal
-from full_disk import full_disk
+from full_disk import EveryWrite, FullDisk, full_disk
 from test_cli import run
 from vcal import StudyError, files
-from vcal.cli import app, interruption, session
+from vcal.cli import app, interruption, output, session
 from vcal.cli.so_far import SoFar
 from vcal.report.html import folder as report_folder
 from vcal.report.html.folder import Contents, ReportFolder, write_interrupted
@@ -96,6 +98,69 @@ def test_a_full_disk_at_every_write_of_a_new_folder(tmp_path):
         assert "No space left on device; make room there" in result.stderr
         assert [p.name for p in tmp_path.iterdir()] == ["counted"]
     run("init", tmp_path / "study")
+
+
+@linux
+@pytest.mark.parametrize("number", [errno.EROFS, errno.EACCES, errno.EDQUOT, errno.EIO])
+def test_a_folder_that_cannot_be_written(tmp_path, number):
+    out = tmp_path / "study"
+    for at in (1, 2, 5):
+        with full_disk(tmp_path, disk=FullDisk(tmp_path, at, number)):
+            result = CliRunner().invoke(app, ["init", str(out)])
+        assert result.exit_code == 2 and result.stderr.count("\n") == 1
+        assert str(out) in result.stderr and os.strerror(number) in result.stderr
+        assert not list(tmp_path.iterdir())
+
+
+@linux
+@pytest.mark.slow
+def test_a_disk_that_is_really_full(study_of, tmp_path):
+    """A file system of 64 KB, where that is allowed: the page of a check has more."""
+    small = tmp_path / "small"
+    small.mkdir()
+    mounted = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(small)]
+    if (
+        shutil.which("mount") is None
+        or subprocess.run(mounted, capture_output=True, check=False).returncode
+    ):
+        pytest.skip("file systems cannot be mounted here")
+    try:
+        out = small / "out"
+        found = CliRunner().invoke(app, ["check", str(study_of), "--out", str(out)])
+        assert found.exit_code == 2 and "can be used" in found.stdout
+        assert found.stderr.startswith(f"vcal: {out}") and found.stderr.count("\n") == 1
+        assert "No space left on device; make room there" in found.stderr
+        assert not list(small.iterdir())
+        run("init", small / "study")  # what fits is written
+    finally:
+        subprocess.run(["umount", str(small)], check=True)
+
+
+@linux
+@pytest.mark.slow
+def test_every_write_of_commands_that_take_a_second(study_of, tmp_path):
+    """`benchmarks/disk_full.py` does it for all commands."""
+    for number, (words, beginning) in enumerate(
+        [
+            (["check", str(study_of)], "small can be used"),
+            (["simulate", str(study_of)], ""),
+            (["effects", "backlash"], ""),
+        ]
+    ):
+        home = tmp_path / str(number)
+        home.mkdir()
+        out = home / "out"
+        disk = EveryWrite(home)
+        with full_disk(home, disk=disk):
+            found = CliRunner().invoke(app, [*words, "--out", str(out)])
+        said, left = found.stderr, [path.name for path in home.iterdir()]
+        if disk.forked:
+            disk.answer([found.exit_code, said, left, found.stdout])
+        assert found.exit_code == 0 and disk.count > 8
+        assert sorted(disk.answers) == list(range(1, disk.count + 1))
+        for code, said, left, shown in disk.answers.values():
+            assert (code, said.count("\n"), left) == (2, 1, []) and str(out) in said
+            assert shown.startswith(beginning)
 
 
 def forked(action):
@@ -363,6 +428,63 @@ def test_an_output_that_is_full(tmp_path):
         "vcal: standard output: No space left on device; the text follows here\n"
     )
     assert f"Wrote {tmp_path / 'study'}" in told and "Traceback" not in told
+
+
+class Broken(io.StringIO):
+    """A stream whose reader has gone."""
+
+    def __init__(self, number=errno.EPIPE):
+        super().__init__()
+        self.number = number
+
+    def write(self, text):
+        raise OSError(self.number, os.strerror(self.number))
+
+    def fileno(self):
+        raise io.UnsupportedOperation
+
+
+@pytest.mark.parametrize("number", [errno.EPIPE, errno.ENOSPC, errno.EIO])
+def test_an_output_that_goes_away(monkeypatch, number):
+    """Where there is more to do than to print, the text goes on to stderr after one message."""
+    ended, other = [], io.StringIO()
+    monkeypatch.setattr(output, "leave", ended.append)
+    monkeypatch.setattr(output._STATE, "lost", False)
+    output.more_to_do(True)
+    stream = output._Guarded(Broken(number), other)
+    stream.writelines(["one\n", "two\n"])
+    stream.flush()
+    told = f"vcal: standard output: {os.strerror(number)}; the text follows here\n"
+    assert other.getvalue() == f"{told}one\ntwo\n" and output.lost() and not ended
+    output.more_to_do(False)
+    output._Guarded(Broken(number), io.StringIO()).write("a list of which nobody reads the rest")
+    assert ended == ([128 + 13] if number == errno.EPIPE else [])
+
+
+@pytest.mark.slow
+def test_compiled_programs_that_were_cut(tmp_path):
+    """A process that was killed while it wrote a program, or another one that writes it now."""
+    script = (
+        "import sys, jax, jax.numpy as jnp, vcal\n"
+        "vcal.enable_float64()\n"
+        "jax.config.update('jax_persistent_cache_min_compile_time_secs', 0.0)\n"
+        "print(jax.jit(lambda x: jnp.sin(x) @ x)(jnp.arange(5.0)))\n"
+    )
+    package, cache = str(Path(vcal.__file__).parents[1]), tmp_path / "cache"
+    keys = {"PYTHONPATH": package, "XDG_CACHE_HOME": str(cache)}
+    plain = {k: v for k, v in os.environ.items() if k not in ("VCAL_NO_CACHE",)}
+    plain = {k: v for k, v in plain.items() if not k.startswith("JAX_")} | keys
+    first = None
+    for size in (None, 100, 0):
+        programs = [path for path in cache.rglob("*-cache") if path.is_file()]
+        assert bool(programs) == (first is not None)
+        for path in programs:
+            path.write_bytes(path.read_bytes()[:size])
+        done = subprocess.run(
+            [sys.executable, "-c", script], env=plain, capture_output=True, text=True, check=True
+        )
+        assert first in (None, done.stdout) and not done.stderr
+        first = done.stdout
 
 
 # --- signals -------------------------------------------------------------------------------------

@@ -9,11 +9,13 @@ import shutil
 import socket
 import zipfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 import vcal
 from test_cli import refused, run
+from test_urdf import URDF
 from vcal import StudyError, load_study
 from vcal.numerics import program_cache
 from vcal.report.html.folder import ReportFolder
@@ -242,19 +244,42 @@ def test_code_outside_is_not_run_even_with_trust(study, mark, tmp_path, way):
     assert mark.exists()
 
 
-def test_a_stream_that_others_may_write_is_not_read_as_programs(tmp_path, monkeypatch):
-    folder = tmp_path / "cache"
-    folder.mkdir(mode=0o700)
-    assert program_cache._is_safe(folder)
-    (folder / "program").symlink_to(tmp_path)
-    if os.name != "nt":
-        assert not program_cache._is_safe(folder)
-        (folder / "program").unlink()
-        tmp_path.chmod(0o777)
-        assert not is_own(folder)
-        tmp_path.chmod(0o1777)
-        assert is_own(folder)
-        tmp_path.chmod(0o700)
+@posix
+def test_programs_that_others_may_write_are_not_run(tmp_path, monkeypatch):
+    """A compiled program that is read from the cache is run."""
+    folder, set_to = tmp_path / "cache", {}
+    config = SimpleNamespace(jax_compilation_cache_dir=None, update=set_to.__setitem__)
+    monkeypatch.setattr(program_cache.jax, "config", config)
+    monkeypatch.setattr(program_cache, "cache_folder", lambda: folder)
+
+    def used():
+        set_to.clear()
+        program_cache.keep_programs()
+        return set_to.get("jax_compilation_cache_dir") == str(folder)
+
+    assert used() and folder.stat().st_mode & 0o777 == 0o700
+    program = folder / "program"
+    program.write_bytes(b"mine")
+    program.chmod(0o666)
+    assert used()  # nobody else reaches it
+    folder.chmod(0o755)
+    assert not used()
+    program.chmod(0o644)
+    assert used()
+    folder.chmod(0o775)
+    assert not used()
+    folder.chmod(0o700)
+    program.unlink()
+    program.symlink_to(tmp_path)
+    assert not used()
+    program.unlink()
+    tmp_path.chmod(0o777)
+    assert not used() and not is_own(folder)
+    tmp_path.chmod(0o1777)
+    assert used()
+    tmp_path.chmod(0o700)
+    monkeypatch.setattr(os, "getuid", lambda: 12345)
+    assert not used()  # it belongs to another user
 
 
 # --- paths, links, devices -----------------------------------------------------------------------
@@ -337,6 +362,34 @@ def test_other_files_stay_inside(study, secret, key):
     with pytest.raises(StudyError) as error:
         load_study(study, given)
     assert "the secret" not in str(error.value)
+
+
+@pytest.mark.parametrize("way", ["absolute", "above", "link", "folder"])
+def test_an_import_reads_the_machine_of_a_study_inside_its_folder(tmp_path, secret, way):
+    """`--machine STUDY` takes a machine of somebody else, with the file that it names."""
+    study = tmp_path / "theirs"
+    study.mkdir()
+    robot = tmp_path / "robot.urdf"
+    robot.write_text(URDF)
+    name = {"absolute": str(robot), "above": "../robot.urdf", "link": "it.urdf"}.get(way)
+    if way == "link":
+        (study / name).symlink_to(robot)
+    text = f"[machine]\nurdf = {json.dumps(name or 'robot.urdf')}\ntip_link = 'flange'\n"
+    (study / "setup.toml").write_text(text)
+    if way == "folder":  # the study file itself
+        shutil.move(study / "setup.toml", tmp_path / "setup.toml")
+        (study / "setup.toml").symlink_to(tmp_path / "setup.toml")
+        shutil.move(robot, study / "robot.urdf")
+    export = tmp_path / "poses.csv"
+    head = "q1 [m],q2 [rad],q3 [rad],q4 [rad],x [mm],y [mm],z [mm]"
+    export.write_text(f"{head}\n0,0,0,0,1.5,2.5,3.5\n1,1,1,1,4.5,5.5,6.5\n")
+    words = ("import", export, "--machine", study, "--out", tmp_path / "out")
+    found = told(*words)
+    assert "outside the folder of the study" in found and "--allow-outside" in found
+    assert "outside" not in told(*words, "--allow-outside")  # what is missing is the readings
+    (study / "setup.toml").unlink()
+    (study / "setup.toml").symlink_to(secret)
+    assert "what is not TOML" in told(*words, "--allow-outside")
 
 
 # --- what is written -----------------------------------------------------------------------------

@@ -3,7 +3,10 @@
 import importlib.util
 import json
 import re
+import subprocess
+import sys
 import tomllib
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -15,12 +18,16 @@ LOCK = (ROOT / "requirements-dev.txt").read_text(encoding="utf-8")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 
 
-@pytest.fixture(scope="module")
-def audit():
-    spec = importlib.util.spec_from_file_location("audit", ROOT / ".ci" / "audit.py")
+def script(name):
+    spec = importlib.util.spec_from_file_location(name, ROOT / ".ci" / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def audit():
+    return script("audit")
 
 
 def requirements():
@@ -95,3 +102,35 @@ def test_the_ends_of_ranges(audit):
 def test_an_audit_without_advisories_says_so(audit, capsys, monkeypatch):
     monkeypatch.delenv("VCAL_ADVISORIES", raising=False)
     assert audit.main([]) == 0 and "not audited" in capsys.readouterr().out
+
+
+# --- bill of materials ---------------------------------------------------------------------------
+
+
+def test_the_bill_of_materials_is_of_this_version():
+    made = script("sbom")
+    text = made.FILE.read_text(encoding="utf-8")
+    assert text == made.written(), "make it anew: python .ci/sbom.py"
+    found = json.loads(text)
+    listed = {one["name"]: one["properties"][0]["value"] for one in found["components"]}
+    stated = {
+        Requirement(text).name: Requirement(text) for text in PROJECT["project"]["dependencies"]
+    }
+    assert listed == {name: str(one) for name, one in stated.items()}
+    refs = {one["bom-ref"] for one in found["components"]}
+    assert {*found["dependencies"][0]["dependsOn"]} == refs and len(refs) == len(stated)
+
+
+@pytest.mark.slow
+def test_a_wheel_holds_the_bill_of_materials_and_nothing_but_vcal(tmp_path):
+    pytest.importorskip("hatchling", reason="the extra dev has it")
+    build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)]
+    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
+    (wheel,) = tmp_path.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+        (bill,) = (name for name in names if "/sboms/" in name)  # PEP 770
+        assert archive.read(bill) == (ROOT / "sbom.cdx.json").read_bytes()
+    place, _, _ = bill.partition("/")
+    assert place.endswith(".dist-info") and {n.split("/")[0] for n in names} == {"vcal", place}
+    assert not [name for name in names if Path(name).suffix in (".so", ".pyd", ".dll", ".pyc")]

@@ -59,7 +59,11 @@ def replace_file(path: Path, data: bytes | str) -> None:
     Raises `OSError` with the name of the file; the earlier one is then as it was.
     """
     with naming(path):
-        number, new = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        try:
+            number, new = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        except OSError as error:
+            error.filename = str(path)
+            raise
         try:
             os.close(number)
             write_file(Path(new), data)

@@ -25,7 +25,7 @@ def certificate(
         typer.Option(
             "--set",
             metavar="KEY=VALUE",
-            help="A key of [machine], [measurement] or [certificate], such as "
+            help="A key of the tables machine, measurement and certificate, such as "
             "certificate.number=2026-17, in place of that in the study; of a study any key. "
             "Repeatable.",
         ),

@@ -16,7 +16,7 @@ from ..demo import starts
 from ..words import counted
 from . import interruption, output
 from .printing import browser_for, print_with, require_page
-from .session import MISTAKE, guarded, import_modules, say, start, working
+from .session import MISTAKE, guarded, import_modules, say, start, telling, working
 
 if TYPE_CHECKING:
     from ..fleet.one_study import Settings
@@ -444,6 +444,14 @@ def import_(
             "--unchecked", help="Write the folder even where it does not pass vcal check."
         ),
     ] = False,
+    allow_outside: Annotated[
+        bool,
+        typer.Option(
+            "--allow-outside",
+            help="Read a URDF file that the study of --machine names outside its folder, also by "
+            "a link.",
+        ),
+    ] = False,
     list_: Annotated[
         bool, typer.Option("--list", help="List the formats with their sources, and exit.")
     ] = False,
@@ -473,6 +481,7 @@ def import_(
             time_format=time_format,
             overrides=override or [],
             checked=not unchecked,
+            allow_outside=allow_outside,
         )
     for sentence in sentences:
         say(sentence)
@@ -787,7 +796,9 @@ def check(
         # The picture of the declared machine may show why.
         seen = outline(setup, override or [], allow_outside=allow_outside)
         if seen is not None:
-            page = write_refused(seen, str(error), out, command=command)
+            mistake = str(error)
+            with telling(lambda: [mistake]):
+                page = write_refused(seen, mistake, out, command=command)
             say(f"Page: {page}")
             print_with(browser, page)
         raise

@@ -1,10 +1,13 @@
 """The command `vcal loop` with several studies."""
 
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 import typer
 
-from ..fleet import Fleet, Settings, close_fleet
+from ..fleet import Settings, close_fleet
+from ..fleet.one_study import Member
 from ..words import counted
 from . import interruption
 from .cluster import check_one, client_of
@@ -37,15 +40,20 @@ def close_all(
     browser = browser_for(pdf)
     start()
     settings = Settings(tuple(overrides), trust, compensate_anyway, again, allow_outside)
-    with (
-        client_of(None, scheduler) as client,
-        working(f"closing the loop on {counted(len(setups), 'study', 'studies')}") as progress,
-    ):
-        fleet = close_fleet(
-            setups, out, settings,
-            workers=workers or 1, client=client, command=command, progress=progress,
-        )  # fmt: skip
-    _show(fleet)
+    members: list[Member] = []
+    try:
+        with (
+            client_of(None, scheduler) as client,
+            working(f"closing the loop on {counted(len(setups), 'study', 'studies')}") as progress,
+        ):
+            fleet = close_fleet(
+                setups, out, settings,
+                workers=workers or 1, client=client, command=command, progress=progress,
+                ended=members.extend,
+            )  # fmt: skip
+    finally:
+        if members:  # whatever becomes of the page
+            _show(members)
     say(f"Page: {fleet.page}")
     print_with(browser, fleet.page)
     if fleet.interrupted:
@@ -55,11 +63,13 @@ def close_all(
         raise typer.Exit(MISTAKE)
 
 
-def _show(fleet: Fleet) -> None:
-    kept, closed = len(fleet.having("up to date")), len(fleet.having("closed"))
+def _show(members: Sequence[Member]) -> None:
+    """Print what has become of all studies."""
+    counts = Counter(one.status for one in members)
+    closed, kept = counts["closed"], counts["up to date"]
     said = f"{counted(closed, 'study', 'studies')} closed"
-    say(f"{said}, {kept} up to date, {len(fleet.members) - kept - closed} without a report.")
-    without = fleet.having("refused", "failed", "lost")
+    say(f"{said}, {kept} up to date, {len(members) - kept - closed} without a report.")
+    without = [one for one in members if one.status in ("refused", "failed", "lost")]
     for one in without[:_FEW]:
         tell(f"{one.job.name}: {one.message}")
     if len(without) > _FEW:

@@ -29,6 +29,7 @@ def run_import(
     time_format: str | None,
     overrides: Sequence[str],
     checked: bool,
+    allow_outside: bool,
 ) -> list[str]:
     """Import files; returns the sentences to print. Raises `StudyError` for options that are
     missing or not understood.
@@ -62,6 +63,7 @@ def run_import(
         options=options,
         overrides=overrides,
         checked=checked,
+        allow_outside=allow_outside,
     )
     return [*summary(done), f"Next: vcal check {out / 'setup.toml'}"]
 

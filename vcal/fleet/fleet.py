@@ -41,6 +41,7 @@ def close_fleet(
     client: Any = None,
     command: str = "",
     progress: Callable[[str], None] = lambda step: None,
+    ended: Callable[[Sequence[Member]], None] = lambda members: None,
 ) -> Fleet:
     """Close the loop on every study, each in a process of its own kind of worker, and write one
     report per study below `out`/reports and a page that lists them, `out`/index.html.
@@ -48,7 +49,8 @@ def close_fleet(
     `workers` is the number of processes; with a `distributed.Client` as `client`, its workers do
     the work, which must see the same folders. A study that cannot be used, that fails or whose
     process ends does not affect the others. A report that is up to date (same files, settings and
-    versions) is kept, so that an interrupted call is resumed by repeating it.
+    versions) is kept, so that an interrupted call is resumed by repeating it. `ended` gets all
+    members at the end, also where the page that lists them cannot be written.
 
     Raises `StudyError` where a study is named twice, and where `out` has other content.
     """
@@ -66,22 +68,25 @@ def close_fleet(
     )
     interrupted = False
     try:
-        for index, member in _members(jobs, results):
-            members[index] = member
-            done = sum(one.status != "not begun" for one in members)
-            progress(f"{done} of {len(members)} studies: {member.job.name} {member.status}")
-            if time.monotonic() - written > _REWRITTEN_S:
-                write_index(members, out, command=command)
-                written = time.monotonic()
-    except KeyboardInterrupt:
-        interrupted = True
-        # A report may be complete whose process had not told of it.
-        for index, (member, earlier) in enumerate(zip(members, before, strict=True)):
-            if member.status == "not begun" and _written(member.job) not in (None, earlier):
-                content = content_of(member.job.out)
-                seconds = content.get("seconds", 0.0)
-                members[index] = Member(member.job, "closed", seconds=seconds, content=content)
-    page = write_index(members, out, command=command, interrupted=interrupted)
+        try:
+            for index, member in _members(jobs, results):
+                members[index] = member
+                done = sum(one.status != "not begun" for one in members)
+                progress(f"{done} of {len(members)} studies: {member.job.name} {member.status}")
+                if time.monotonic() - written > _REWRITTEN_S:
+                    write_index(members, out, command=command)
+                    written = time.monotonic()
+        except KeyboardInterrupt:
+            interrupted = True
+            # A report may be complete whose process had not told of it.
+            for index, (member, earlier) in enumerate(zip(members, before, strict=True)):
+                if member.status == "not begun" and _written(member.job) not in (None, earlier):
+                    content = content_of(member.job.out)
+                    seconds = content.get("seconds", 0.0)
+                    members[index] = Member(member.job, "closed", seconds=seconds, content=content)
+        page = write_index(members, out, command=command, interrupted=interrupted)
+    finally:
+        ended(members)
     return Fleet(tuple(members), page, interrupted)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import tomli_w
 
 from ..instruments.conditions import ROTARY
+from ..study.consent import require_inside
 from ..study.declared_chain import build_chain
 from ..study.folder import Folder
 from ..study.messages import refusal
@@ -27,16 +28,18 @@ _GRID = 10.0
 """A travel that only the measured positions tell ends at a multiple of this, mm or deg."""
 
 
-def declared(text: str) -> tuple[dict[str, Any], dict[str, bytes]]:
+def declared(text: str, outside: bool = False) -> tuple[dict[str, Any], dict[str, bytes]]:
     """The ``[machine]`` table of ``--machine``, and the files that it names.
 
     The text is a chain by ISO 10791-6, a study file or folder whose ``[machine]`` is taken, or a
-    URDF file. Raises `StudyError` for a file that does not exist or has no machine.
+    URDF file. Raises `StudyError` for a file that does not exist or has no machine, and for files
+    of a study outside its folder, unless `outside` allows them.
     """
     path = Path(text)
     if path.is_dir():
         path = path / SETUP
     if path.suffix.casefold() == ".toml":
+        require_inside(path.parent, path.name, allowed=outside)
         raw, _ = read_setup(path)
         machine = raw.get("machine")
         if not isinstance(machine, dict):
@@ -47,7 +50,8 @@ def declared(text: str) -> tuple[dict[str, Any], dict[str, bytes]]:
         if isinstance(urdf := machine.get("urdf"), str):
             # The copy lies in the study folder, wherever the file of the other study lies.
             name = Path(urdf).name
-            files[name] = Folder(path.parent).path(urdf, "a URDF file").read_bytes()
+            folder = Folder(path.parent, outside=outside)
+            files[name] = folder.path(urdf, "a URDF file").read_bytes()
             machine = {**machine, "urdf": name}
         return machine, files
     if path.suffix.casefold() in (".urdf", ".xml"):

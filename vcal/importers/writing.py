@@ -59,13 +59,15 @@ def import_study(
     options: Options | None = None,
     overrides: Sequence[str] = (),
     checked: bool = True,
+    allow_outside: bool = False,
 ) -> Imported:
     """Write the study folder `out` from exports.
 
     `machine` is a chain, a study file or a URDF file; a URDF file among `files` is the machine as
     well. Several tables become several data sets, each with an instrument of its own. `overrides`
     set keys of the study file, where ``instrument.KEY`` concerns every data set. With `checked`,
-    the folder is read as by ``vcal check`` before it appears.
+    the folder is read as by ``vcal check`` before it appears. Files that the study of `machine`
+    names outside its folder are only read with `allow_outside`.
 
     Raises `StudyError` with one message for whatever is wrong or lacking; nothing is written then.
     """
@@ -79,7 +81,7 @@ def import_study(
         for export, kind in zip(exports, formats, strict=True)
         if (tree := kind.machine(export)) is not None
     ]
-    tree, extra = _one_machine(machine, machines)
+    tree, extra = _one_machine(machine, machines, allow_outside)
     if tree is not None and tool_offset is not None:
         tree = {**tree, "tool_offset_mm": offset_of(tool_offset)}
     table: dict[str, Any] = {}
@@ -129,7 +131,7 @@ def import_study(
 
 
 def _one_machine(
-    given: str | None, found: Sequence[tuple[Export, Mapping[str, Any]]]
+    given: str | None, found: Sequence[tuple[Export, Mapping[str, Any]]], outside: bool
 ) -> tuple[Mapping[str, Any] | None, dict[str, bytes]]:
     if len(found) + (given is not None) > 1:
         names = [export.name for export, _ in found] + ([f"--machine {given}"] if given else [])
@@ -137,7 +139,7 @@ def _one_machine(
             listed(names), "machine", "several machines", "one per study", "leave one of them out"
         )
     if given is not None:
-        return declared(given)
+        return declared(given, outside)
     if found:
         export, tree = found[0]
         return tree, {export.name: export.data}

@@ -1,6 +1,7 @@
 """Compiled programs that are kept from process to process, in the cache folder of the user."""
 
 import os
+import stat
 import warnings
 from pathlib import Path
 
@@ -50,14 +51,19 @@ def keep_programs() -> None:
 def _is_safe(folder: Path) -> bool:
     """Whether a folder and all programs in it belong to the user, and nobody else may write them.
 
-    Programs that somebody else wrote before the folder was closed to others would be run too.
+    Programs that somebody else wrote before the folder was closed to others would be run too. The
+    permissions of a file count where others can reach it: a folder that vcal makes is closed.
     """
     if not is_own(folder):
         return False
     if not hasattr(os, "getuid"):
         return True
+    reached = folder.stat().st_mode & (stat.S_IXGRP | stat.S_IXOTH)
+    others = (stat.S_IWGRP | stat.S_IWOTH) if reached else 0
     with os.scandir(folder) as entries:
-        return all(
-            entry.stat(follow_symlinks=False).st_uid == os.getuid() and not entry.is_symlink()
-            for entry in entries
-        )
+        return all(_is_own_file(entry, others) for entry in entries)
+
+
+def _is_own_file(entry: "os.DirEntry[str]", others: int) -> bool:
+    found = entry.stat(follow_symlinks=False)
+    return found.st_uid == os.getuid() and not entry.is_symlink() and not found.st_mode & others
