@@ -92,9 +92,7 @@ class Published:
     def budget(self) -> Budget:
         """The GUM budget."""
         vcal.enable_float64()
-        found = propagate(
-            self.function, self.inputs(), order=self.order, coverage=self.coverage
-        )  # pyright: ignore[reportArgumentType]
+        found = propagate(self.function, self.inputs(), order=self.order, coverage=self.coverage)  # pyright: ignore[reportArgumentType]
         return found if self.k is None else found.stated(k=self.k)
 
     def ensemble(self, draws: int = _DRAWS) -> Ensemble:
@@ -376,7 +374,12 @@ EXAMPLES = (
         _ABROAD,
         k=2.0,
         contributions={
-            "R_S": "2.5", "dR_D": "5.8", "dR_TS": "1.6", "r_C": "4.1", "r": "0.7", "dR_TX": "3.2",
+            "R_S": "2.5",
+            "dR_D": "5.8",
+            "dR_TS": "1.6",
+            "r_C": "4.1",
+            "r": "0.7",
+            "dR_TX": "3.2",
         },
         per=1e3,
     ),  # fmt: skip
@@ -405,7 +408,11 @@ EXAMPLES = (
         k=2.0,
         order=2,  # The product of two quantities whose estimates are zero.
         contributions={
-            "l_S": "15.0", "dl_D": "17.3", "dl": "5.37", "dl_C": "18.5", "dt": "16.6",
+            "l_S": "15.0",
+            "dl_D": "17.3",
+            "dl": "5.37",
+            "dl_C": "18.5",
+            "dt": "16.6",
             "dl_V": "3.87",
         },
         within=0.05,
