@@ -36,9 +36,9 @@ from vcal.uncertainty import (
 from . import rst
 
 _DRAWS = 200_000
-_ABROAD = "memory"
-_METRODATA = "memory; y and u compared with the public file of metrodata.de"
-_GUM = "memory"
+_MEMORY = "memory"
+_METRODATA = "memory, y and u compared with the public file of metrodata.de"
+_UNITS = {"ohm": "Ω", "mohm": "mΩ", "uV": "µV", "um": "µm"}
 _HEADER = ("source", "quantity", "expected", "GUM", "Monte Carlo", "data from")
 
 
@@ -273,7 +273,7 @@ EXAMPLES = (
             Printed("y", "254.260", "ohm", output="Z"),
             Printed("u", "0.236", "ohm", output="Z"),
         ),
-        _GUM,
+        _MEMORY,
     ),
     Published(
         "JCGM 100, H.3",
@@ -281,7 +281,7 @@ EXAMPLES = (
         _line(_thermometer),
         _coefficients,
         _lines("-0.1712", "0.00218", "0.0029", "0.00067", drawn=False),
-        _GUM,
+        _MEMORY,
     ),
     Published(
         "JCGM 100, H.5",
@@ -293,7 +293,7 @@ EXAMPLES = (
             # The standard deviation of a t with 9 degrees of freedom is 1.13 times its scale.
             Printed("u", "18", "uV", 1e6, monte_carlo=False),
         ),
-        "memory; compared with the public tests of suncal",
+        "memory, compared with the public tests of suncal",
     ),
     Published(
         "ISO/TS 28037, 6",
@@ -346,7 +346,7 @@ EXAMPLES = (
             Printed("u", "29.3", "mg", 1e3),
             Printed("U", "59", "mg", 1e3, monte_carlo=False),
         ),
-        "memory; inputs compared with the public file of metrodata.de",
+        "memory, inputs compared with the public file of metrodata.de",
         k=2.0,
         contributions={"m_S": "22.5", "dm_D": "8.66", "dm": "14.4", "dm_C": "5.77", "dB": "5.77"},
         per=1e3,
@@ -371,7 +371,7 @@ EXAMPLES = (
             Printed("u", "8.33", "mohm", 1e3, within=0.01),
             Printed("U", "17", "mohm", 1e3, monte_carlo=False),
         ),
-        _ABROAD,
+        _MEMORY,
         k=2.0,
         contributions={
             "R_S": "2.5",
@@ -404,7 +404,7 @@ EXAMPLES = (
             Printed("u", "36.4", "nm"),
             Printed("U", "73", "nm", monte_carlo=False),
         ),
-        _ABROAD,
+        _MEMORY,
         k=2.0,
         order=2,  # The product of two quantities whose estimates are zero.
         contributions={
@@ -527,7 +527,7 @@ EXAMPLES = (
             Printed("u", "0.030", "V"),
             Printed("U", "0.05", "V"),
         ),
-        _ABROAD,
+        _MEMORY,
         k=1.65,
         contributions={"V_S": "0.001", "dV_iX": "0.029", "dV_S": "0.0064"},
         within=5e-4,
@@ -551,7 +551,7 @@ EXAMPLES = (
             Printed("k", "1.83", within=0.02),
             Printed("U", "0.06", "mm", 1e-3),
         ),
-        _ABROAD,
+        _MEMORY,
         k=1.83,
         contributions={"l_S": "0.46", "Dt": "2.0", "dl_iX": "15", "dl_M": "29"},
         within=0.6,
@@ -578,7 +578,7 @@ EXAMPLES = (
             Printed("k", "1.81", within=0.03),
             Printed("U", "0.3", "K"),
         ),
-        _ABROAD,
+        _MEMORY,
         k=1.81,
     ),
     Published(
@@ -593,7 +593,7 @@ EXAMPLES = (
             Printed("low", "23.8", "°C"),
             Printed("high", "27.4", "°C"),
         ),
-        _ABROAD,
+        _MEMORY,
     ),
 )
 
@@ -605,12 +605,12 @@ def published() -> str:
         budget, ensemble = one.budget(), one.ensemble()
         for i, p in enumerate(one.printed):
             found = one.by_gum(p, budget), one.by_draws(p, ensemble)
-            name = p.what if p.output == "y" else f"{p.what}({p.output})".replace("y(", "(")
-            unit = f" / {p.unit}" if p.unit else ""
+            name = p.output if p.what == "y" else p.what if p.output == "y" else f"u({p.output})"
+            unit = f" / {_UNITS.get(p.unit, p.unit)}" if p.unit else ""
             rows.append(
                 (
                     "" if i else f"{one.source}: {one.subject}",
-                    f"{name.strip('()') if p.what == 'y' else name}{unit}",
+                    f"{name}{unit}",
                     p.text.replace("-", "−"),
                     *(f"{x:.{p.decimals + 1}f}".replace("-", "−") for x in found),
                     "" if i else one.data,
