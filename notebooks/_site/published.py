@@ -346,7 +346,7 @@ EXAMPLES = (
             Printed("u", "29.3", "mg", 1e3),
             Printed("U", "59", "mg", 1e3, monte_carlo=False),
         ),
-        "memory, inputs compared with the public file of metrodata.de",
+        "memory, m_S and dm_D compared with the public file of metrodata.de",
         k=2.0,
         contributions={"m_S": "22.5", "dm_D": "8.66", "dm": "14.4", "dm_C": "5.77", "dB": "5.77"},
         per=1e3,
