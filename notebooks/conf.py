@@ -27,6 +27,7 @@ extensions = [
     "_site.mathml",
     "_site.notebooks",
     "_site.offline",
+    "_site.published",
     "_site.record_keys",
     "_site.study_keys",
 ]

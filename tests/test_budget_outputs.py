@@ -320,6 +320,7 @@ def test_sweep_as_a_picture(budget):
     np.testing.assert_array_equal(line.get_xdata(), found.at)
     np.testing.assert_array_equal(line.get_ydata(), found.u[:, 0])
     assert right.lines[1].get_ydata()[0] == 1.8
+    assert [text.get_text() for text in right.get_legend().get_texts()] == ["wanted"]
     assert left.get_xlabel() == "u(b) / mm" and right.get_title(loc="left") == "u(y)"
     band = left.collections[0].get_paths()[0].get_extents()
     assert band.y1 == pytest.approx((found.value + found.U).max())

@@ -126,6 +126,18 @@ def by_scipy(x, y, joint, degree):
     return found.x[:p], spread[:p, :p], float(found.fun @ found.fun)
 
 
+def test_clause_8_covariance_within_a_point():
+    """Data of the example in clause 8, from the public NPL software in its translation to R."""
+    between = 0.036 * np.eye(6)
+    curve = calibration_curve(*BOTH, **U_BOTH, covariance_xy=between)
+    spread = np.diag(np.array(U_BOTH["u_y"]) ** 2)
+    joint = np.block([[0.04 * np.eye(6), between], [between, spread]])
+    coefficients, covariance, chi = by_scipy(np.array(BOTH[0]), np.array(BOTH[1]), joint, 1)
+    assert curve.coefficients == pytest.approx(coefficients, rel=1e-6)
+    assert curve.covariance == pytest.approx(covariance, rel=1e-4)
+    assert curve.chi_squared == pytest.approx(chi, rel=1e-6)
+
+
 def test_clause_9_correlated_y():
     x, y, covariance = CLAUSE_9
     curve = calibration_curve(x, y, covariance_y=covariance)

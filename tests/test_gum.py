@@ -445,6 +445,7 @@ def test_semi_definite_covariance():
     assert budget.u == pytest.approx([0.6, 0.0, math.sqrt(4 * 0.04 + 2 * 0.04**2)], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_uncertain_constant_moves_what_is_identified():
     # A slope fitted to readings of an artefact whose expansion is uncertain: through the solver.
     nominal = jnp.linspace(0.1, 0.5, 5)

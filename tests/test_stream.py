@@ -16,7 +16,7 @@ import vcal
 from vcal.uncertainty import Field, Output, numerical_tolerance, stream
 from vcal.uncertainty.adaptive import step_size
 from vcal.uncertainty.checkpoint import STATE
-from vcal.uncertainty.intervals import coverage_interval, interval_ranks
+from vcal.uncertainty.intervals import coverage_interval, interval_ranks, ranked_value
 from vcal.uncertainty.quantile_counts import quantile_ranks, sketch_of
 
 OUTPUTS = [Output("a"), Output("b", (2,))]
@@ -204,6 +204,18 @@ SHAPES = {
     "shifts late": lambda rng, n: np.arange(n) ** 2.0,
     "constant": lambda rng, n: np.full(n, 3.25),
 }
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_ranked_value_is_that_of_the_values_in_order(shape):
+    """Also where the part of the values from which the bounds come says little of the others."""
+    for n in (5, 120_001):
+        values = SHAPES[shape](np.random.default_rng(5), n)
+        ordered = np.sort(values)
+        for rank in {1, 2, n // 40, n // 2, n - n // 40, n - 1, n} - {0}:
+            assert ranked_value(values, rank) == ordered[rank - 1]
+    periodic = np.tile(SHAPES[shape](np.random.default_rng(6), 24), 6_000)
+    assert ranked_value(periodic, 3_600) == np.sort(periodic)[3_599]
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -681,6 +693,8 @@ def test_precision_for_another_probability_and_from_too_few_draws():
         ({"draws": 2**33}, "draws: found"),
         ({"draws": "adaptive", "most": 0}, "draws: found 0"),
         ({"block": 0}, "found block = 0"),
+        ({"step": 1}, "step: found 1, expected at least 2"),
+        ({"draws": "adaptive", "step": 150}, "found 150, .* whole blocks of 100"),
         ({"chunk": 0}, "chunk = 0"),
         ({"coverage": 1.0}, "coverage probability: found 1.0"),
         ({"kind": "narrow"}, "found 'narrow', expected 'symmetric' or 'shortest'"),

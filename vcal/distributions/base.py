@@ -53,7 +53,7 @@ class Distribution(Record):
     @property
     def tail_index(self) -> Float[Array, ""]:
         """Order below which moments exist."""
-        return jnp.asarray(jnp.inf)
+        return np.asarray(np.inf)
 
     @property
     @abc.abstractmethod

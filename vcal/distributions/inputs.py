@@ -9,17 +9,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Float, PRNGKeyArray, UInt32
+from jaxtyping import Float, PRNGKeyArray, UInt32, UInt64
 from scipy.linalg import block_diag
 
 from ..numerics.arrays import Array
 from ..numerics.counter_draws import (
-    bits_of,
-    key_words,
-    normal_rows,
-    polar_rows,
+    normal,
+    polar,
+    random_words,
+    row_key,
+    seed_words,
     threefry,
-    uniform_rows,
+    uniform,
 )
 from ..numerics.record import Record
 from ..registry import nearest
@@ -27,7 +28,12 @@ from .base import Distribution, Raw
 from .copula import GaussianCopula
 from .dependence import Measure, score_correlation
 
-_MADE = {"normal": normal_rows, "uniform": uniform_rows}
+_RAW = {
+    "normal": normal,
+    "uniform": uniform,
+    "polar": lambda words: jnp.stack(polar(words), axis=1),
+}
+"""Random numbers (rows, count) of a kind, or (rows, 2, count), from words (rows, count)."""
 
 Correlation = Mapping[tuple[str, str], float]
 """(name, name) -> correlation of two univariate inputs, of the normal scores unless stated."""
@@ -237,22 +243,20 @@ class Inputs(Record):
             found |= {self.names[i]: drawn[place] for place, i in enumerate(group)}
         return {name: found[name] for name in self.names}
 
-    def row_keys(
-        self, key: PRNGKeyArray, blocks: UInt32[np.ndarray, " b"]
-    ) -> UInt32[np.ndarray, "b rows 2"]:
+    def row_keys(self, seed: int, blocks: UInt32[np.ndarray, " b"]) -> UInt64[np.ndarray, "b rows"]:
         """Keys of the rows of random numbers from which `draws` makes these blocks of draws.
 
-        As for `sample`, every input has keys of its own, derived from `key`, the number of the
-        block and the position of the input. `key` is one of threefry2x32
-        (`jax.random.key(seed, impl="threefry2x32")`).
+        As for `sample`, every input has keys of its own, derived from the seed, the number of the
+        block and the position of the input. Raises `ValueError` for a seed that is no whole number
+        of 64 bits.
         """
         place = [(i, e) for i, d in self._sources for e in range(_rows(d))]
         position, element = np.array(place, np.uint32).T
-        own = threefry(key_words(key), (np.asarray(blocks, np.uint32)[:, None], position))
-        return np.stack(threefry(own, (element, np.ones_like(element))), axis=-1)
+        own = threefry(seed_words(seed), (np.asarray(blocks, np.uint32)[:, None], position))
+        return row_key(threefry(own, (element, np.ones_like(element))))
 
     def draws(
-        self, keys: UInt32[Array, "rows 2"], count: int
+        self, keys: UInt64[Array, " rows"], count: int
     ) -> dict[str, Float[Array, "count ..."]]:
         """The `count` draws of a block by name, draws along the first axis: a pure function of the
         keys of the block (`row_keys`) and `count`.
@@ -266,7 +270,8 @@ class Inputs(Record):
             drawn |= _from_raw(kind, mine, [keys[at[i]] for i, _ in mine], count)
         for i, d in sources:
             if d.raw is None:
-                own = jax.random.wrap_key_data(keys[at[i]][0], impl="threefry2x32")
+                words = jnp.stack([keys[at[i]][0] >> np.uint64(32), keys[at[i]][0]])
+                own = jax.random.wrap_key_data(words.astype(jnp.uint32), impl="threefry2x32")
                 drawn[i] = d.sample(own, (count,))
         for group in self._groups:
             together = drawn[group[0]]
@@ -358,10 +363,8 @@ def _from_raw(
     """Draws of all inputs that are made from one kind of random numbers, in one go."""
     if not sources:
         return {}
-    pairs = count if kind == "polar" else (count + 1) // 2
-    bits = bits_of(jnp.concatenate(keys), pairs)
+    raw = _RAW[kind](random_words(jnp.concatenate(keys), count))
     ends = np.cumsum([_rows(d) for _, d in sources]).tolist()
-    raw = jnp.stack(polar_rows(bits), axis=1) if kind == "polar" else _MADE[kind](bits)[:, :count]
     return {
         i: d.from_raw(raw[end - 1] if kind == "polar" else raw[end - _rows(d) : end])
         for end, (i, d) in zip(ends, sources, strict=True)

@@ -47,5 +47,6 @@ def sweep_view(
 def _uncertainty(ax: Axes, sweep: Sweep, i: int, wanted: float | None) -> None:
     ax.plot(sweep.at, sweep.u[:, i], color=AFTER, lw=1.6)
     if wanted is not None:
-        ax.axhline(wanted, color=BEFORE, lw=1.2, ls="--")
+        ax.axhline(wanted, color=BEFORE, lw=1.2, ls="--", label="wanted")
+        ax.legend(loc="best", fontsize=8, frameon=False)
     ax.set_ylim(bottom=0.0)

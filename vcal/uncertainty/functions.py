@@ -8,18 +8,21 @@ from typing import Any, Literal
 
 import jax
 import numpy as np
-from jaxtyping import PRNGKeyArray, UInt32
+from jaxtyping import UInt64
 
 from ..distributions import Inputs
 from ..numerics.arrays import Array
 from ..numerics.spatial import require_float64
+from .adaptive import step_size
 from .cautions import failed_notes, single_draw_notes
 from .ensemble import Ensemble
 from .evaluation import Evaluation, Function, code_digest, compiled_for, evaluation_of, named
-from .intervals import Kind
+from .intervals import Kind, check_coverage
 from .streaming import MOST, Progress, stream
 
 _BLOCK = 10_000
+_TOGETHER = 5
+"""Blocks of a campaign of many draws that one call of the compiled function computes in turn."""
 _KEYS = 256
 """Blocks whose keys are computed at once."""
 
@@ -66,18 +69,21 @@ def propagate_distributions(
     `TypeError` for inputs that are no `Inputs`, and `StudyError` for a folder of another campaign.
     """
     require_float64()
+    check_coverage(coverage)
     how = evaluation_of(function, inputs)
-    key = jax.random.key(seed, impl="threefry2x32")
     local = jax.local_devices() if how.plain is None else []
 
-    keys = _Keys(inputs, key)
-    if how.plain is None:
-        program, arrays = compiled_for(_draw, (function, inputs))
-    else:
-        program, arrays = compiled_for(_inputs, (function, inputs))
+    keys = _Keys(inputs, seed)
+    # An adaptive campaign may end after any block, and so may one in a folder, to be extended.
+    many = isinstance(draws, int | np.integer) and draws >= _TOGETHER * _BLOCK
+    together = _TOGETHER if many and how.plain is None and folder is None else 1
+    what = _inputs if how.plain is not None else _draw if together == 1 else _draws
+    program, arrays = compiled_for(what, (function, inputs))
 
     def evaluate(first: int, count: int, device: Any = None) -> Mapping[str, Array]:
-        given = keys.of(first // count)
+        given = keys.of(first // _BLOCK, together)
+        if together == 1:
+            given = given[0]
         if device is not None:
             given = jax.device_put(given, device)
         found = program(arrays, given)
@@ -87,12 +93,13 @@ def propagate_distributions(
 
     fingerprint = None
     if folder is not None:
-        fingerprint = {"seed": seed} | _identity(function, inputs, key, how)
+        fingerprint = {"seed": seed} | _identity(function, inputs, how)
     done = stream(
         evaluate,
         draws,
         how.outputs,
-        block=_BLOCK,
+        block=together * _BLOCK,
+        step=step_size(coverage, _BLOCK),
         chunk=chunk,
         folder=folder,
         fingerprint=fingerprint,
@@ -129,17 +136,17 @@ def _without_moments(inputs: Inputs) -> tuple[str, ...]:
 class _Keys:
     """Keys of the blocks of a campaign, computed on the host for many blocks at once."""
 
-    def __init__(self, inputs: Inputs, key: PRNGKeyArray):
-        self.inputs, self.key = inputs, key
-        self.first, self.known = 0, np.zeros((0, 0, 2), np.uint32)
+    def __init__(self, inputs: Inputs, seed: int):
+        self.inputs, self.seed = inputs, seed
+        self.first, self.known = 0, inputs.row_keys(seed, np.zeros(0, np.uint32))
 
-    def of(self, block: int) -> UInt32[np.ndarray, "rows 2"]:
-        """Keys of one block."""
-        if not self.first <= block < self.first + len(self.known):
+    def of(self, block: int, count: int) -> UInt64[np.ndarray, "count rows"]:
+        """Keys of `count` blocks."""
+        if not self.first <= block <= self.first + len(self.known) - count:
             self.first = block
-            blocks = np.arange(block, block + _KEYS, dtype=np.uint32)
-            self.known = self.inputs.row_keys(self.key, blocks)
-        return self.known[block - self.first]
+            blocks = np.arange(block, block + max(_KEYS, count), dtype=np.uint32)
+            self.known = self.inputs.row_keys(self.seed, blocks)
+        return self.known[block - self.first :][:count]
 
 
 def _draw(function: Function, inputs: Inputs, keys: Array) -> dict[str, Array]:
@@ -148,21 +155,25 @@ def _draw(function: Function, inputs: Inputs, keys: Array) -> dict[str, Array]:
     return jax.vmap(lambda values: named(function(values)))(drawn)
 
 
+def _draws(function: Function, inputs: Inputs, keys: Array) -> dict[str, Array]:
+    """Outputs of the draws of several blocks, one after the other."""
+    found = jax.lax.map(lambda own: _draw(function, inputs, own), keys)
+    return {name: values.reshape(-1, *values.shape[2:]) for name, values in found.items()}
+
+
 def _inputs(function: Function, inputs: Inputs, keys: Array) -> dict[str, Array]:
     """Inputs of the draws of a block."""
     return inputs.draws(keys, _BLOCK)
 
 
-def _identity(
-    function: Function, inputs: Inputs, key: PRNGKeyArray, how: Evaluation
-) -> dict[str, str]:
+def _identity(function: Function, inputs: Inputs, how: Evaluation) -> dict[str, str]:
     """Checksums of the program and of the numbers of the inputs."""
     program, arrays = compiled_for(_draw if how.plain is None else _inputs, (function, inputs))
     numbers = hashlib.sha256()
     for leaf in arrays:
         numbers.update(np.asarray(leaf).tobytes())
     lowered: Any = program
-    text = lowered.lower(arrays, inputs.row_keys(key, np.zeros(1, np.uint32))[0]).as_text()
+    text = lowered.lower(arrays, inputs.row_keys(0, np.zeros(1, np.uint32))[0]).as_text()
     checksum = hashlib.sha256(text.encode()).hexdigest()
     if how.plain is not None:
         checksum = code_digest(function) + checksum

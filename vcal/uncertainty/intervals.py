@@ -12,6 +12,8 @@ Kind = Literal["symmetric", "shortest"]
 Ranked = Callable[[Int[np.ndarray, " n"]], Float[np.ndarray, " n"]]
 """Values of given ranks, counted from one in ascending order."""
 
+_MANY, _PART = 100_000, 5_000
+
 
 def coverage_interval(
     values: Float[np.ndarray, " n"], p: float, kind: Kind = "symmetric"
@@ -23,10 +25,30 @@ def coverage_interval(
     if kind == "shortest":
         ordered = np.sort(values)
         low, high = interval_ranks(lambda ranks: ordered[ranks - 1], len(values), p, kind)
-    else:
-        low, high = interval_ranks(lambda ranks: values[ranks - 1], len(values), p, kind)
-        ordered = np.partition(values, [low - 1, high - 1])  # half the time of putting all in order
-    return float(ordered[low - 1]), float(ordered[high - 1])
+        return float(ordered[low - 1]), float(ordered[high - 1])
+    low, high = interval_ranks(lambda ranks: values[ranks - 1], len(values), p, kind)
+    return ranked_value(values, low), ranked_value(values, high)
+
+
+def ranked_value(values: Float[np.ndarray, " n"], rank: int) -> float:
+    """The value of a rank, counted from one in ascending order, of values in any order.
+
+    A part of many values tells between which bounds it is; the others are only counted.
+    """
+    below = 0
+    if len(values) > _MANY:
+        part = np.sort(values[:: len(values) // _PART])
+        share = rank / len(values)
+        spread = 5.0 * math.sqrt(share * (1.0 - share) / len(part)) + 1.0 / len(part)
+        at = np.array([share - spread, share + spread]) * len(part)
+        low, high = part[np.clip(at.astype(int), 0, len(part) - 1)]
+        below = np.count_nonzero(values < low)
+        inside = values[(values >= low) & (values <= high)]
+        if below < rank <= below + len(inside):
+            values = inside
+        else:
+            below = 0
+    return float(np.partition(values, rank - below - 1)[rank - below - 1])
 
 
 def interval_ranks(

@@ -2,7 +2,7 @@
 
 import html
 from collections.abc import Callable, Sequence
-from typing import Literal
+from typing import Literal, NamedTuple
 
 Layout = Literal["markdown", "plain", "latex", "html"]
 
@@ -44,32 +44,32 @@ def laid_out(
     if layout not in _LAYOUTS:
         known = ", ".join(repr(name) for name in _LAYOUTS)
         raise ValueError(f"layout: found {layout!r}, expected one of {known}")
-    return _LAYOUTS[layout](heads, align, lines, below, notes)
+    return _LAYOUTS[layout](_Table(heads, align, lines, below, notes))
 
 
-def _markdown(
-    heads: Sequence[str],
-    align: str,
-    lines: Sequence[Sequence[str]],
-    below: str,
-    notes: Sequence[str],
-) -> str:
+class _Table(NamedTuple):
+    """The arguments of `laid_out`."""
+
+    heads: Sequence[str]
+    align: str
+    lines: Sequence[Sequence[str]]
+    below: str
+    notes: Sequence[str]
+
+
+def _markdown(table: _Table) -> str:
+    heads, align, lines, below, notes = table
     rule = ["---:" if side == "r" else "---" for side in align]
     rows = [heads, rule, *lines]
-    table = "\n".join(
+    written = "\n".join(
         "| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows
     )
     listed = "\n".join(f"- {note}" for note in notes)
-    return "\n\n".join(part for part in (table, below, listed) if part)
+    return "\n\n".join(part for part in (written, below, listed) if part)
 
 
-def _plain(
-    heads: Sequence[str],
-    align: str,
-    lines: Sequence[Sequence[str]],
-    below: str,
-    notes: Sequence[str],
-) -> str:
+def _plain(table: _Table) -> str:
+    heads, align, lines, below, notes = table
     widths = [max(len(row[i]) for row in (heads, *lines)) for i in range(len(heads))]
 
     def row(cells: Sequence[str]) -> str:
@@ -79,21 +79,17 @@ def _plain(
         )
         return "  ".join(padded).rstrip()
 
-    table = "\n".join([row(heads), "  ".join("-" * width for width in widths), *map(row, lines)])
-    return "\n\n".join(part for part in (table, below, "\n".join(notes)) if part)
+    written = "\n".join([row(heads), "  ".join("-" * width for width in widths), *map(row, lines)])
+    return "\n\n".join(part for part in (written, below, "\n".join(notes)) if part)
 
 
-def _latex(
-    heads: Sequence[str],
-    align: str,
-    lines: Sequence[Sequence[str]],
-    below: str,
-    notes: Sequence[str],
-) -> str:
+def _latex(table: _Table) -> str:
+    heads, align, lines, below, notes = table
+
     def row(cells: Sequence[str]) -> str:
         return " & ".join(map(_escaped, cells)) + r" \\"
 
-    table = "\n".join(
+    written = "\n".join(
         [
             rf"\begin{{tabular}}{{{align}}}",
             r"\hline",
@@ -104,16 +100,12 @@ def _latex(
             r"\end{tabular}",
         ]
     )
-    return "\n\n".join(part for part in (table, _escaped(below), *map(_escaped, notes)) if part)
+    return "\n\n".join(part for part in (written, _escaped(below), *map(_escaped, notes)) if part)
 
 
-def _html(
-    heads: Sequence[str],
-    align: str,
-    lines: Sequence[Sequence[str]],
-    below: str,
-    notes: Sequence[str],
-) -> str:
+def _html(table: _Table) -> str:
+    heads, align, lines, below, notes = table
+
     def row(cells: Sequence[str], tag: str) -> str:
         style = {"l": "", "r": ' style="text-align:right"'}
         written = "".join(
@@ -141,7 +133,7 @@ def _escaped(text: str) -> str:
     return "".join(found)
 
 
-_LAYOUTS: dict[str, Callable[..., str]] = {
+_LAYOUTS: dict[str, Callable[[_Table], str]] = {
     "markdown": _markdown,
     "plain": _plain,
     "latex": _latex,

@@ -1,5 +1,6 @@
 """Declarations of the results of one draw of a Monte Carlo campaign: scalar outputs and fields."""
 
+import functools
 import itertools
 import math
 from collections.abc import Mapping, Sequence
@@ -31,7 +32,7 @@ class Output:
                 f"{math.prod(self.shape)}, one per element"
             )
 
-    @property
+    @functools.cached_property
     def labels(self) -> tuple[str, ...]:
         """Name of every scalar: ``"V"``; ``"phi[0]"``, ``"phi[1]"``, counted from zero."""
         if self.names:

@@ -57,6 +57,7 @@ def stream(
     *,
     fields: Sequence[Field] = (),
     block: int = 1000,
+    step: int | None = None,
     chunk: int | None = None,
     folder: Path | str | None = None,
     fingerprint: Mapping[str, Any] | str | None = None,
@@ -72,10 +73,10 @@ def stream(
 
     `draws` is their number, or ``"adaptive"``. An adaptive campaign ends when y, u and both ends of
     the coverage interval of every scalar output are stable (JCGM 101, 7.9.4: 2 s <= delta, delta
-    from u written with `digits` significant digits). This is checked after every sub-block of
-    max(100/(1 - p), 10 000) draws, rounded up to whole blocks; `most` is the largest number of
-    draws. `coverage` and `kind` define the interval whose precision is monitored; the result
-    provides any other interval as well.
+    from u written with `digits` significant digits). This is checked after every sub-block: of
+    `step` draws, or of max(100/(1 - p), 10 000) draws, rounded up to whole blocks; `most` is the
+    largest number of draws. `coverage` and `kind` define the interval whose precision is
+    monitored; the result provides any other interval as well.
 
     `outputs` and `fields` declare the results of `evaluate`: arrays of shape (count, *shape) in
     float64. All values of scalar outputs are kept as long as their total number is at most `keep`;
@@ -91,7 +92,8 @@ def stream(
 
     `KeyboardInterrupt` ends the campaign with the results so far (`Ensemble.interrupted`).
 
-    Raises `ValueError` for invalid settings and for values that differ from their declaration, and
+    Raises `ValueError` for invalid settings, as a `step` of an adaptive campaign that is not in
+    whole blocks, and for values that differ from their declaration, and
     `StudyError` for a folder of another campaign, or one that another process uses.
     """
     outputs, fields = tuple(outputs), tuple(fields)
@@ -101,12 +103,20 @@ def stream(
     _check(block, chunk, digits, kind, folder is None or bool(fingerprint))
     if draws == "adaptive" and not outputs:
         raise ValueError("an adaptive campaign needs a scalar output to watch; found fields only")
-    step = step_size(coverage, block)
+    usual = step_size(coverage, block)
+    step = usual if step is None else step
+    if step < 2 or (draws == "adaptive" and step % block):
+        raise ValueError(
+            f"step: found {step}, expected at least 2 draws, and for an adaptive campaign whole "
+            f"blocks of {block}"
+        )
     summary = Summary(Declared(outputs, fields, step, coverage, kind, keep))
     checkpoint = None
     if folder is not None:
         mode = f"adaptive, {digits} digits" if draws == "adaptive" else "given"
         settings = _settings(fingerprint, summary.declared, block, mode)
+        if step != usual:
+            settings["sub-block"] = step
         checkpoint = Checkpoint(Path(folder), settings)
     watched = digits if draws == "adaptive" else None
     try:
