@@ -3,11 +3,13 @@
 import json
 import math
 import os
+import pickle
 import signal
 import subprocess
 import sys
 import time
 import tracemalloc
+from concurrent.futures import Future
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from vcal.uncertainty.adaptive import step_size
 from vcal.uncertainty.checkpoint import STATE
 from vcal.uncertainty.intervals import coverage_interval, interval_ranks, ranked_value
 from vcal.uncertainty.quantile_counts import quantile_ranks, sketch_of
+from vcal.uncertainty.summary import digest
 
 OUTPUTS = [Output("a"), Output("b", (2,))]
 FIELDS = [Field("map", (4, 3), (0.025, 0.5, 0.975))]
@@ -436,6 +439,53 @@ def test_results_do_not_depend_on_the_number_of_devices():
     assert found.returncode == 0, found.stderr
     lines = found.stdout.split()
     assert len(lines) == 3 and len(set(lines)) == 1
+
+
+class Elsewhere:
+    """Summarises blocks as another process would: what comes back has been bytes."""
+
+    def __init__(self):
+        self.travelled = []
+
+    def __call__(self, first, count, device=None):
+        return spoilt(first, count)
+
+    def summaries(self, first, block, blocks, declared, layout):
+        declared, layout = pickle.loads(pickle.dumps((declared, layout)))
+        parts = (spoilt(first + i * block, block) for i in range(blocks))
+        content = pickle.dumps(digest(parts, block, declared, layout))
+        self.travelled.append((blocks, len(content)))
+        coming = Future()
+        coming.set_result(pickle.loads(content))
+        return coming
+
+
+def spoilt(first, count):
+    """The same draws; some are not finite."""
+    found = evaluate(first, count)
+    if first == 4000:
+        found["b"][5, 1], found["map"][7, 2, 1] = np.nan, np.inf
+    return found
+
+
+@pytest.mark.parametrize("keep", [10_000_000, 0, 45_000, 90_000])
+def test_summaries_made_elsewhere_give_the_same_numbers(keep):
+    """Bit for bit, where all, no, or the first 15,000 and 30,000 draws are kept."""
+    elsewhere = Elsewhere()
+    options = {"draws": 43_500, "block": 1000, "keep": keep}
+    found = run(function=elsewhere, devices=range(3), **options)
+    assert_same(found, run(function=spoilt, **options))
+    several = [size for blocks, size in elsewhere.travelled if blocks == 10]
+    assert len(several) == {10_000_000: 0, 0: 3, 45_000: 2, 90_000: 1}[keep]
+    # The draws of 10 blocks are 1.2 MB; bins have two bytes each.
+    assert all(size < 10_000 * 15 * 2 * 1.05 for size in several)
+
+
+def test_a_campaign_goes_on_with_summaries_made_elsewhere(tmp_path):
+    options = {"block": 1000, "keep": 30_000, "fingerprint": "seed 7"}
+    run(function=spoilt, draws=12_000, folder=tmp_path, **options)
+    found = run(function=Elsewhere(), draws=31_000, folder=tmp_path, **options)
+    assert_same(found, run(function=spoilt, draws=31_000, **options))
 
 
 # ---------------------------------------------------------------- interruption

@@ -1,4 +1,4 @@
-"""Import of the modules, which takes seconds: Ctrl-C, garbage collection and threads meanwhile."""
+"""Start-up: Ctrl-C, garbage collection and threads while modules are imported or pictures drawn."""
 
 import contextlib
 import gc
@@ -47,6 +47,19 @@ def _uncollected() -> Iterator[None]:
             gc.freeze()
             gc.unfreeze()
         gc.enable()
+
+
+@contextlib.contextmanager
+def collected_afterwards() -> Iterator[None]:
+    """Context that puts off garbage collection, for work that makes many objects and needs them."""
+    if not gc.isenabled():
+        yield
+        return
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()  # new objects are young still, so that the next collection frees them
 
 
 def _single_thread() -> None:

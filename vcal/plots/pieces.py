@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from PIL import Image
 
-from .style import DPI
+from .style import DPI, raise_titles
 
 _TICK = 5
 """Pixels left of the axes that belong to the marks of the ticks."""
@@ -60,6 +60,8 @@ def cut(drawn: Figure) -> Pieces:
     canvas = drawn.canvas
     assert isinstance(canvas, FigureCanvasAgg)
     canvas.draw()
+    if raise_titles(drawn):
+        canvas.draw()
     pixels = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])
     ink = (pixels != 255).any(-1)
     axes = [ax for ax in drawn.axes if ax.get_visible()]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from .intervals import Kind, coverage_interval
 
@@ -54,6 +54,15 @@ class Adaptive:
     def stable(self) -> np.ndarray:
         """Whether each output is stable (k,)."""
         return np.all([2.0 * s <= self.tolerance for s in self.precision], axis=0)
+
+
+class StepResults(NamedTuple):
+    """Results of one sub-block of draws."""
+
+    results: Float[np.ndarray, "4 k"]
+    """Estimate, standard uncertainty and both ends of the coverage interval of every output."""
+    enough: Bool[np.ndarray, " k"]
+    """Whether the output has enough finite values for an interval."""
 
 
 class Steps:
@@ -117,24 +126,34 @@ class Steps:
         missing = self.step - sum(map(len, self.waiting))
         self.waiting.append(values[:missing])
         if len(values) >= missing:
-            self._finish(np.concatenate(self.waiting))
+            self.merge(step_results(np.concatenate(self.waiting), self.coverage, self.kind))
             self.waiting = [values[missing:].copy()]
 
-    def _finish(self, values: Float[np.ndarray, "step k"]) -> None:
+    def merge(self, found: StepResults) -> None:
+        """Add the results of the next sub-block."""
         self.steps += 1
-        columns, finite = np.ascontiguousarray(values.T), np.isfinite(values).T
-        for k, (column, good) in enumerate(zip(columns, finite, strict=True)):
-            found = column if good.all() else column[good]
-            if len(found) - math.floor(self.coverage * len(found) + 0.5) < 1:
-                continue  # too few finite values for an interval of this output
-            low, high = coverage_interval(found, self.coverage, self.kind)
-            mean = found.mean()
-            apart = found - mean  # a third of the time of numpy's standard deviation
-            result = np.array([mean, math.sqrt(apart @ apart / (len(found) - 1)), low, high])
+        for k in np.flatnonzero(found.enough):
+            result = found.results[:, k]
             self.count[k] += 1
             apart = result - self.mean[:, k]
             self.mean[:, k] += apart / self.count[k]
             self.squares[:, k] += apart * (result - self.mean[:, k])
+
+
+def step_results(values: Float[np.ndarray, "step k"], coverage: float, kind: Kind) -> StepResults:
+    """The results of the draws of one sub-block."""
+    columns, finite = np.ascontiguousarray(values.T), np.isfinite(values).T
+    results, enough = np.full((4, len(columns)), np.nan), np.zeros(len(columns), bool)
+    for k, (column, good) in enumerate(zip(columns, finite, strict=True)):
+        found = column if good.all() else column[good]
+        if len(found) - math.floor(coverage * len(found) + 0.5) < 1:
+            continue  # too few finite values for an interval of this output
+        low, high = coverage_interval(found, coverage, kind)
+        mean = found.mean()
+        apart = found - mean  # a third of the time of numpy's standard deviation
+        results[:, k] = mean, math.sqrt(apart @ apart / (len(found) - 1)), low, high
+        enough[k] = True
+    return StepResults(results, enough)
 
 
 def step_size(p: float, block: int = 1) -> int:

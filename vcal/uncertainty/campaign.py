@@ -37,7 +37,7 @@ from .intervals import Kind
 from .outputs import Field, Output
 from .programs import Programs
 from .quantities import Measure, Pair, ParameterErrors, Quantity, State, scalars
-from .streaming import MOST, Progress, stream
+from .streaming import KEEP, MOST, Progress, stream
 
 _STEPS = "identification: exact gradients"
 _RETRIED = "identification: retried"
@@ -185,6 +185,7 @@ def monte_carlo(
     most: int = MOST,
     chunk: int | None = None,
     folder: Path | str | None = None,
+    keep: int = KEEP,
     progress: Progress = lambda done, total: None,
     programs: Programs | None = None,
     client: Any = None,
@@ -206,8 +207,10 @@ def monte_carlo(
     everything that is equal in all draws is a constant to the compiler, and long campaigns run a
     little faster.
 
-    With a `distributed.Client` as `client`, the workers of its Dask cluster compute the blocks,
-    with the same result; `programs` is then not used.
+    With a `distributed.Client` as `client`, the workers of its Dask cluster compute and summarise
+    the blocks, with the same result; `programs` is then not used. Summaries travel, and the values
+    of scalar outputs as long as they are kept: exact quantiles need all of them. `keep` is the
+    largest number of kept values; with zero, quantiles come from counts in fine bins.
 
     The other arguments are those of `vcal.uncertainty.streaming`. Raises as `virtual_pair` and
     `stream` do, and `TypeError` for a quantity that is no `Quantity`.
@@ -238,6 +241,7 @@ def monte_carlo(
         chunk=chunk,
         folder=folder,
         fingerprint=None if folder is None else here.identity(),
+        keep=keep,
         progress=progress,
         devices=devices,
         coverage=coverage,

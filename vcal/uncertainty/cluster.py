@@ -1,9 +1,11 @@
 """Blocks of draws on the workers of a Dask cluster.
 
 What travels to a worker are the models, the plan and the quantities, once for every campaign; what
-comes back are the outputs of a block. A worker compiles for itself. The blocks are those of one
-process, in the same order of addition, and so are the results, bit for bit, on processors of one
-kind. A block whose worker ends is computed by another one.
+comes back are the summaries of blocks (`vcal.uncertainty.summary.digest`): sums, the numbers of
+bins, and the values of those scalar outputs that are kept. The outputs of the first block come back
+as they are and show where the bins lie; meanwhile the other workers compile, each for itself. The
+blocks are those of one process, in the same order of addition, and so are the results, bit for bit,
+on processors of one kind. A block whose worker ends is computed by another one.
 """
 
 import contextlib
@@ -17,6 +19,9 @@ from typing import Any
 
 import jax
 import numpy as np
+from threadpoolctl import threadpool_limits
+
+from .summary import Declared, Digest, Layout, digest
 
 TRIES = 3
 """How often a block is begun whose worker ends."""
@@ -47,14 +52,40 @@ class InCluster:
             )
         self.client, self.name = client, name
         self.slots = range(_AHEAD * threads)
+        self._compiled: list[Any] = []
         self.work = client.scatter(_Work(make, arguments, name), hash=False, broadcast=True)
 
     def __call__(self, first: int, count: int, device: Any = None) -> Mapping[str, np.ndarray]:
         del device
-        future = self.client.submit(
-            _computed, self.work, first, count, pure=False, retries=TRIES - 1
-        )
+        future = self._submit(_computed, first, count)
+        self._compile(first, count)
         return _Coming(future)
+
+    def summaries(
+        self, first: int, block: int, blocks: int, declared: Declared, layout: Layout
+    ) -> Any:
+        """The summary of consecutive blocks, as a future."""
+        return _Once(self._submit(_summarised, first, block, blocks, declared, layout))
+
+    def _submit(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        return self.client.submit(function, self.work, *arguments, pure=False, retries=TRIES - 1)
+
+    def _compile(self, first: int, count: int) -> None:
+        """Let every worker compute a block once, so that none compiles after another."""
+        if not self._compiled:
+            self._compiled = [
+                self.client.submit(
+                    _warmed,
+                    self.work,
+                    first,
+                    count,
+                    pure=False,
+                    priority=-1,
+                    workers=[one],
+                    allow_other_workers=True,
+                )  # fmt: skip
+                for one in self.client.nthreads()
+            ]
 
 
 class _Work:
@@ -86,6 +117,33 @@ def _computed(work: _Work, first: int, count: int) -> dict[str, np.ndarray]:
                 _made.popitem(last=False)
         evaluate = _made[work.name]
     return {name: np.asarray(value) for name, value in evaluate(first, count).items()}
+
+
+def _summarised(
+    work: _Work, first: int, block: int, blocks: int, declared: Declared, layout: Layout
+) -> Digest:
+    """The summary of consecutive blocks; runs in a worker."""
+    found = (_computed(work, first + i * block, block) for i in range(blocks))
+    with threadpool_limits(1, "blas"):  # as where the draws of one process are summarised
+        return digest(found, block, declared, layout)
+
+
+def _warmed(work: _Work, first: int, count: int) -> None:
+    """Compile what a block needs; runs in a worker."""
+    _computed(work, first, count)
+
+
+class _Once:
+    """A future that is released when its result has been read."""
+
+    def __init__(self, future: Any):
+        self._future = future
+
+    def result(self) -> Digest:
+        """The result; waits for it."""
+        found = self._future.result()
+        self._future.release()
+        return found
 
 
 class _Coming(Mapping[str, np.ndarray]):

@@ -1,13 +1,40 @@
 """Mean, covariance and range of any number of draws, updated block by block.
 
 Blocks are merged by the update of Chan, Golub and LeVeque (1983). It keeps sums of deviations from
-the mean, so that no digits are lost where the spread is small against the mean.
+the mean, so that no digits are lost where the spread is small against the mean. The sums of a block
+(`block_moments`, `block_spread`) may come from another process: the result depends on the order in
+which blocks are merged alone.
 """
 
+from typing import NamedTuple
+
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from .quantile_counts import slices
+
+
+class BlockMoments(NamedTuple):
+    """Joint moments of k scalar outputs in one block of draws."""
+
+    rows: int
+    count: Int[np.ndarray, "k k"] | None
+    """Draws in which outputs i and j are both finite; None where all of them are."""
+    offset: Float[np.ndarray, "k k"] | Float[np.ndarray, " k"]
+    """Mean of output i over those draws, minus its origin; one per output where all are finite."""
+    comoment: Float[np.ndarray, "k k"]
+    minimum: Float[np.ndarray, " k"]
+    maximum: Float[np.ndarray, " k"]
+
+
+class BlockSpread(NamedTuple):
+    """Mean, sum of squared deviations and range of every element of a field in one block."""
+
+    count: int
+    mean: Float[np.ndarray, " size"]
+    squares: Float[np.ndarray, " size"]
+    minimum: Float[np.ndarray, " size"]
+    maximum: Float[np.ndarray, " size"]
 
 
 class Moments:
@@ -38,19 +65,22 @@ class Moments:
         if np.isnan(self.origin).any():
             first = np.where(finite, values, 0.0).sum(0) / np.maximum(finite.sum(0), 1)
             self.origin = np.where(np.isnan(self.origin) & finite.any(0), first, self.origin)
-        whole = bool(finite.all())
-        count, offset, comoment = _block(values - self.origin, None if whole else finite)
+        self.merge(block_moments(values, self.origin))
+
+    def merge(self, block: BlockMoments) -> None:
+        """Merge the moments of a block, relative to `origin`."""
+        count, offset = block.count, block.offset
+        if count is None:
+            count = np.full(self.count.shape, block.rows)
+            offset = np.repeat(offset[:, None], len(offset), axis=1)
         total = self.count + count
         share = count / np.maximum(total, 1)
         apart = offset - self.offset
-        self.comoment = self.comoment + comoment + apart * apart.T * self.count * share
+        self.comoment = self.comoment + block.comoment + apart * apart.T * self.count * share
         self.offset = self.offset + apart * share
         self.count = total
-        low, high = (
-            values if whole else np.where(finite, values, end) for end in (np.inf, -np.inf)
-        )
-        self.minimum = np.minimum(self.minimum, low.min(0))
-        self.maximum = np.maximum(self.maximum, high.max(0))
+        self.minimum = np.minimum(self.minimum, block.minimum)
+        self.maximum = np.maximum(self.maximum, block.maximum)
 
     @property
     def mean(self) -> Float[np.ndarray, " k"]:
@@ -98,19 +128,18 @@ class Spread:
 
     def add(self, values: Float[np.ndarray, "n size"]) -> None:
         """Merge a block of draws."""
-        if not len(values):
-            return
-        total = self.count + len(values)
-        share = len(values) / total
-        for part in slices(values.shape[1], len(values)):
-            x = values[:, part]
-            mean = x.mean(0)
-            apart = mean - self.mean[part]
-            squares = ((x - mean) ** 2).sum(0) + apart**2 * (self.count * share)
-            self.mean[part] += apart * share
-            self.squares[part] += squares
-            self.minimum[part] = np.minimum(self.minimum[part], x.min(0))
-            self.maximum[part] = np.maximum(self.maximum[part], x.max(0))
+        if len(values):
+            self.merge(block_spread(values))
+
+    def merge(self, block: BlockSpread) -> None:
+        """Merge the spread of a block."""
+        total = self.count + block.count
+        share = block.count / total
+        apart = block.mean - self.mean
+        self.squares += block.squares + apart**2 * (self.count * share)
+        self.mean += apart * share
+        self.minimum = np.minimum(self.minimum, block.minimum)
+        self.maximum = np.maximum(self.maximum, block.maximum)
         self.count = total
 
     def arrays(self) -> dict[str, np.ndarray]:
@@ -128,15 +157,35 @@ def restored_spread(arrays: dict[str, np.ndarray]) -> Spread:
     return found
 
 
-def _block(
-    values: Float[np.ndarray, "n k"], finite: Bool[np.ndarray, "n k"] | None
+def block_moments(
+    values: Float[np.ndarray, "n k"], origin: Float[np.ndarray, " k"]
+) -> BlockMoments:
+    """Joint moments of a block of draws, relative to an origin."""
+    finite, moved = np.isfinite(values), values - origin
+    if finite.all():
+        mean = moved.mean(0)
+        apart = moved - mean
+        comoment = apart.T @ apart
+        return BlockMoments(len(values), None, mean, comoment, values.min(0), values.max(0))
+    low, high = (np.where(finite, values, end) for end in (np.inf, -np.inf))
+    return BlockMoments(len(values), *_pairs(moved, finite), low.min(0), high.max(0))
+
+
+def block_spread(values: Float[np.ndarray, "n size"]) -> BlockSpread:
+    """Mean, sum of squared deviations and range of every element; n is at least one."""
+    mean, squares, low, high = np.empty((4, values.shape[1]))
+    for part in slices(values.shape[1], len(values)):
+        x = values[:, part]
+        mean[part] = x.mean(0)
+        squares[part] = ((x - mean[part]) ** 2).sum(0)
+        low[part], high[part] = x.min(0), x.max(0)
+    return BlockSpread(len(values), mean, squares, low, high)
+
+
+def _pairs(
+    values: Float[np.ndarray, "n k"], finite: Bool[np.ndarray, "n k"]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Count, mean and co-moment of every pair of outputs in a block; None if all are finite."""
-    if finite is None:
-        mean = values.mean(0)
-        apart = values - mean
-        count = np.full((len(mean), len(mean)), len(values))
-        return count, np.repeat(mean[:, None], len(mean), axis=1), apart.T @ apart
+    """Count, mean and co-moment of every pair of outputs where both are finite."""
     weight = finite.astype(float)
     count = (weight.T @ weight).astype(np.int64)
     own = np.where(finite, values, 0.0).sum(0) / np.maximum(np.diag(count), 1)

@@ -9,9 +9,10 @@ the draws.
 """
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int, UInt32
+from jaxtyping import Bool, Float, Int, UInt16, UInt32
 
 from .intervals import Kind, interval_ranks
 
@@ -23,6 +24,23 @@ _FINEST, _COARSEST = 2**16, 2**6
 _ELEMENTS = 2**18
 """Values processed at a time, which bounds the memory of intermediate results and fits the cache.
 """
+
+
+class Bins(NamedTuple):
+    """Where the bins of k quantities lie."""
+
+    centre: Float[np.ndarray, " k"]
+    scale: Float[np.ndarray, " k"]
+    number: int
+    """Bins per quantity, at most 2^16."""
+
+    def of(self, values: Float[np.ndarray, "n k"]) -> UInt16[np.ndarray, "n k"]:
+        """The bin of every value; zero for those that are not finite."""
+        found = np.empty(values.shape, np.uint16)
+        for part in slices(values.shape[1], len(values)):
+            found[:, part] = _bins_of(values[:, part], self.centre[part], self.scale[part],
+                                      self.number)  # fmt: skip
+        return found
 
 
 @dataclass(frozen=True)
@@ -38,17 +56,29 @@ class Sketch:
         """Number of bins per quantity."""
         return self.counts.shape[1]
 
+    @property
+    def layout(self) -> Bins:
+        """Where the bins lie."""
+        return Bins(self.centre, self.scale, self.bins)
+
     def add(self, values: Float[np.ndarray, "n k"]) -> None:
         """Count values; those that are not finite are left out."""
         for part in slices(values.shape[1], len(values)):
             x = values[:, part]
-            z = np.clip((x - self.centre[part]) / self.scale[part], -1e18, 1e18)
-            finite = np.isfinite(x)
-            t = np.where(finite, z / (1.0 + np.abs(z)), 0.0)
-            # Rounding may map an extreme value to t = 1.
-            bins = np.minimum(((t + 1.0) * (0.5 * self.bins)).astype(np.int64), self.bins - 1)
-            cells = bins + np.arange(x.shape[1]) * self.bins
-            np.add.at(self.counts[part].reshape(-1), cells[finite], np.uint32(1))
+            self._count(part, _bins_of(x, self.centre[part], self.scale[part], self.bins),
+                        np.isfinite(x))  # fmt: skip
+
+    def count(
+        self, numbers: UInt16[np.ndarray, "n k"], finite: Bool[np.ndarray, "n k"] | None = None
+    ) -> None:
+        """Count values by the numbers of their bins (`Bins.of`), as `add` does."""
+        for part in slices(numbers.shape[1], len(numbers)):
+            counted = ... if finite is None else finite[:, part]
+            self._count(part, numbers[:, part].astype(np.int64), counted)
+
+    def _count(self, part: slice, numbers: np.ndarray, counted: Any) -> None:
+        cells = numbers + np.arange(numbers.shape[1]) * self.bins
+        np.add.at(self.counts[part].reshape(-1), cells[counted].reshape(-1), np.uint32(1))
 
     def column(self, low: float, high: float, at: int) -> "Column":
         """Quantity `at`, whose smallest and largest values are `low` and `high`."""
@@ -170,6 +200,18 @@ def slices(size: int, rows: int) -> list[slice]:
     """Ranges of columns to process together, for arrays with `rows` rows."""
     step = max(1, _ELEMENTS // max(rows, 1))
     return [slice(start, min(start + step, size)) for start in range(0, size, step)]
+
+
+def _bins_of(
+    x: Float[np.ndarray, "n k"],
+    centre: Float[np.ndarray, " k"],
+    scale: Float[np.ndarray, " k"],
+    bins: int,
+) -> Int[np.ndarray, "n k"]:
+    z = np.clip((x - centre) / scale, -1e18, 1e18)
+    t = np.where(np.isfinite(x), z / (1.0 + np.abs(z)), -1.0)
+    # Rounding may map an extreme value to t = 1.
+    return np.minimum(((t + 1.0) * (0.5 * bins)).astype(np.int64), bins - 1)
 
 
 def _layout(pilot: Float[np.ndarray, "n k"]) -> tuple[np.ndarray, np.ndarray]:

@@ -6,6 +6,9 @@
 from its index (`jax.random.fold_in`); the last block is computed whole and truncated. The result
 therefore depends on the seed alone, and not on the number of blocks between two checkpoints, on the
 number of devices, or on interruptions of the campaign.
+
+An `evaluate` that works elsewhere may summarise there, so that the summaries travel and not the
+draws (`Remote`).
 """
 
 import math
@@ -15,7 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import jax
 import numpy as np
@@ -28,7 +31,7 @@ from .checkpoint import STATE, UNWRITTEN, Checkpoint, unwritten
 from .ensemble import Ensemble, ensemble_of
 from .intervals import Kind, check_coverage
 from .outputs import Field, Output, check_declared
-from .summary import Declared, Summary
+from .summary import Declared, Digest, Layout, Summary
 
 Evaluate = Callable[..., Mapping[str, Array]]
 """evaluate(first, count), or evaluate(first, count, device=...) where devices are named."""
@@ -36,6 +39,28 @@ Device = Any
 """A device of JAX (`jax.local_devices`)."""
 Progress = Callable[[int, int], None]
 """progress(draws done, draws to do)."""
+
+
+class Coming(Protocol):
+    """The summary of blocks that are being computed."""
+
+    def result(self) -> Digest:
+        """The summary; waits for it."""
+        ...
+
+
+@runtime_checkable
+class Remote(Protocol):
+    """An `evaluate` whose draws are computed and summarised in other processes."""
+
+    def summaries(
+        self, first: int, block: int, blocks: int, declared: Declared, layout: Layout
+    ) -> Coming:
+        """The summary (`vcal.uncertainty.summary.digest`) of consecutive blocks of `block` draws
+        each, from draw `first` on; returns before it is computed.
+        """
+        ...
+
 
 KEEP = 10_000_000
 """Largest number of kept values, of all scalar outputs together."""
@@ -169,7 +194,20 @@ class _Run:
         self.summary.add(values, self.block, rows)
         self.next += 1
         self.judge()
-        if rows == self.block and (self.ended or self._chunk_ended()):
+        return self._added(rows == self.block)
+
+    def take_summary(self, number: int, coming: Coming) -> bool:
+        """Add whole blocks that were summarised elsewhere, as `take` does."""
+        if number != self.next or self.ended:
+            return False
+        found = coming.result()
+        self.summary.merge(found)
+        self.next += found.draws // self.block
+        self.judge()
+        return self._added(True)
+
+    def _added(self, whole: bool) -> bool:
+        if whole and (self.ended or self._chunk_ended()):
             self.save()
             return True
         return self.ended
@@ -208,6 +246,8 @@ def _drive(run: _Run, evaluate: Evaluate, progress: Progress, devices: Sequence[
     While a block is added, the next ones are computed, one per device.
     """
     waiting: deque[Future[bool]] = deque()
+    summary, block = run.summary, run.block
+    remote = evaluate if isinstance(evaluate, Remote) else None
 
     def collect(most: int) -> None:
         while len(waiting) > most:
@@ -219,16 +259,27 @@ def _drive(run: _Run, evaluate: Evaluate, progress: Progress, devices: Sequence[
     with ThreadPoolExecutor(1, "vcal-summary") as keeper:
         try:
             run.judge()
-            for number in range(run.next, math.ceil(run.total / run.block)):
-                if run.ended:
-                    break
-                first = number * run.block
-                if devices:
-                    values = evaluate(first, run.block, device=devices[number % len(devices)])
+            number = run.next
+            while number < math.ceil(run.total / block) and not run.ended:
+                first, blocks = number * block, 1
+                layout = summary.layout if remote is not None else None
+                if remote is not None and layout is not None and first + block <= run.total:
+                    blocks = summary.together(number, block, run.total)
+                    if blocks > 1 and layout.bins is None:
+                        collect(0)  # the values so far show where the bins are to lie
+                        keeper.submit(summary.count).result()
+                        layout = summary.layout or layout
+                    coming = remote.summaries(first, block, blocks, summary.declared, layout)
+                    waiting.append(keeper.submit(run.take_summary, number, coming))
                 else:
-                    values = evaluate(first, run.block)
-                waiting.append(keeper.submit(run.take, number, values))
-                collect(max(len(devices), 1))
+                    if devices:
+                        values = evaluate(first, block, device=devices[number % len(devices)])
+                    else:
+                        values = evaluate(first, block)
+                    waiting.append(keeper.submit(run.take, number, values))
+                # The first block shows how further ones are summarised.
+                collect(0 if remote is not None and not summary.draws else max(len(devices), 1))
+                number += blocks
             collect(0)
         except KeyboardInterrupt:
             for future in waiting:

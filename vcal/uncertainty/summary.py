@@ -2,20 +2,34 @@
 
 Blocks are added in order, so that the numbers do not depend on the grouping of the draws, on the
 devices, or on interruptions of the campaign.
+
+Another process can summarise blocks (`digest`), once the first draws have shown where the bins of
+the counts lie (`Layout`). Merging its digests gives the same numbers as adding the draws, bit for
+bit: the sums of a block are the same, and they are added in the same order.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, UInt16
 
 from ..numerics.arrays import Array
-from .adaptive import Steps
+from .adaptive import StepResults, Steps, step_results
 from .intervals import Kind
-from .moments import Moments, Spread, restored_moments, restored_spread
+from .moments import (
+    BlockMoments,
+    BlockSpread,
+    Moments,
+    Spread,
+    block_moments,
+    block_spread,
+    restored_moments,
+    restored_spread,
+)
 from .outputs import Field, Output, check_names, field_rows, labels_of, scalar_rows
-from .quantile_counts import Sketch, quantile_ranks, sketch_of
+from .quantile_counts import Bins, Sketch, quantile_ranks, sketch_of
 
 _PILOT = 10_000
 """Draws that define the bins of the scalar outputs."""
@@ -40,6 +54,47 @@ class Declared:
     def labels(self) -> tuple[str, ...]:
         """Labels of all scalar outputs, in order."""
         return labels_of(self.outputs)
+
+
+class Layout(NamedTuple):
+    """What the first draws have shown, and blocks of further ones are summarised with."""
+
+    origin: Float[np.ndarray, " k"]
+    """Origin of the moments (`Moments.origin`)."""
+    bins: Bins | None
+    """Bins of the scalar outputs; None while their values are kept."""
+    fields: tuple[Bins | None, ...]
+    """Bins of every field; None without quantiles, and where too few draws were finite so far."""
+
+
+class FieldBlock(NamedTuple):
+    """The summary of a field in one block."""
+
+    failed: int
+    spread: BlockSpread | None
+    """None where no draw is finite."""
+    values: Float[np.ndarray, "n size"] | None = None
+    """Finite draws, where the bins of their quantiles are not known yet."""
+    numbers: UInt16[np.ndarray, "n size"] | None = None
+    """Bins of the finite draws."""
+
+
+class Digest(NamedTuple):
+    """The summary of consecutive whole blocks."""
+
+    draws: int
+    moments: tuple[BlockMoments, ...]
+    """One per block."""
+    fields: tuple[tuple[FieldBlock, ...], ...]
+    """One per block and field."""
+    values: Float[np.ndarray, "n k"] | None = None
+    """Scalar outputs of a single block, where these are kept, or are no whole sub-block."""
+    numbers: UInt16[np.ndarray, "n k"] | None = None
+    """Bins of the scalar outputs of a whole sub-block."""
+    finite: Bool[np.ndarray, "n k"] | None = None
+    """Whether these are finite; None where all of them are."""
+    step: StepResults | None = None
+    """Results of that sub-block."""
 
 
 class Summary:
@@ -76,6 +131,44 @@ class Summary:
             self.fields[name].add(field)
         self.draws += rows
         self.steps.add(scalars)
+
+    def merge(self, found: Digest) -> None:
+        """Add blocks that were summarised elsewhere with the layout of this summary."""
+        if self.sketch is not None and found.numbers is not None:
+            self.sketch.count(found.numbers, found.finite)
+        for moments, fields in zip(found.moments, found.fields, strict=True):
+            self.moments.merge(moments)
+            for own, field in zip(self.fields.values(), fields, strict=True):
+                own.merge(field)
+        if found.step is not None:
+            self.steps.merge(found.step)
+        if found.values is not None:
+            self._keep(found.values)
+            self.steps.add(found.values)
+        self.draws += found.draws
+
+    @property
+    def layout(self) -> Layout | None:
+        """What blocks can be summarised with elsewhere; None until every output was finite."""
+        if not self.draws or np.isnan(self.moments.origin).any():
+            return None
+        bins = None if self.sketch is None else self.sketch.layout
+        return Layout(self.moments.origin, bins, tuple(f.bins for f in self.fields.values()))
+
+    def together(self, number: int, block: int, total: int) -> int:
+        """How many of the `total` draws' blocks, from `number` on, one digest may summarise.
+
+        A whole sub-block; a single block while values of scalar outputs are kept, and where no
+        sub-block begins or it is cut off.
+        """
+        size, step = len(self.declared.labels), self.declared.step
+        kept = (number + 1) * block * size <= self.declared.keep
+        whole = number * block % step == 0 and number * block + step <= total
+        return step // block if whole and not kept else 1
+
+    def count(self) -> None:
+        """Count all further values of scalar outputs: no more are kept."""
+        self._count_from(self.values[:_PILOT])
 
     @property
     def values(self) -> Float[np.ndarray, "m k"]:
@@ -122,11 +215,15 @@ class Summary:
             if (self.draws + len(scalars)) * scalars.shape[1] <= self.declared.keep:
                 self.kept.append(scalars)
                 return
-            pilot = self.values[:_PILOT] if self.kept else scalars
-            self.sketch = sketch_of(pilot)
-            for block in self.kept:
-                self.sketch.add(block)
+            self._count_from(self.values[:_PILOT] if self.kept else scalars)
+        assert self.sketch is not None
         self.sketch.add(scalars)
+
+    def _count_from(self, pilot: Float[np.ndarray, "n k"]) -> None:
+        sketch = sketch_of(pilot)
+        for block in self.kept:
+            sketch.add(block)
+        self.sketch = sketch
 
 
 class FieldSummary:
@@ -142,11 +239,17 @@ class FieldSummary:
 
     def add(self, values: Float[np.ndarray, "n size"]) -> None:
         """Add a block of draws."""
-        finite = np.isfinite(values).all(1)
-        good = values if finite.all() else values[finite]
-        self.failed += int(len(values) - len(good))
-        self.spread.add(good)
-        if not self.field.quantiles:
+        self.merge(_field_block(self.field, values, None))
+
+    def merge(self, block: FieldBlock) -> None:
+        """Add a block that was summarised elsewhere."""
+        self.failed += block.failed
+        if block.spread is not None:
+            self.spread.merge(block.spread)
+        good = block.values
+        if self.sketch is not None and block.numbers is not None:
+            self.sketch.count(block.numbers)
+        if good is None or not self.field.quantiles:
             return
         if self.sketch is not None:
             self.sketch.add(good)
@@ -154,10 +257,15 @@ class FieldSummary:
         self.pilot.append(good)
         if self.spread.count >= _FIELD_PILOT:
             first = np.concatenate([block[:_FIELD_PILOT] for block in self.pilot])
-            self.sketch = sketch_of(first[:_FIELD_PILOT])
-            for block in self.pilot:
-                self.sketch.add(block)
-            self.pilot = []
+            sketch = sketch_of(first[:_FIELD_PILOT])
+            for part in self.pilot:
+                sketch.add(part)
+            self.sketch, self.pilot = sketch, []
+
+    @property
+    def bins(self) -> Bins | None:
+        """Where the bins lie; None where there are none, or not yet."""
+        return None if self.sketch is None else self.sketch.layout
 
     def quantiles(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """For every requested probability: quantiles (size,) and bounds of their errors (size,)."""
@@ -188,6 +296,49 @@ class FieldSummary:
         self.spread = restored_spread(_part(arrays, "spread"))
         sketch = _part(arrays, "sketch")
         self.sketch = Sketch(**sketch) if sketch else None
+
+
+def digest(
+    blocks: Iterable[Mapping[str, Array]], count: int, declared: Declared, layout: Layout
+) -> Digest:
+    """The summary of consecutive blocks of `count` draws each, for `Summary.merge`.
+
+    As many as `Summary.together` gives. Raises `ValueError` where the values are not as declared.
+    """
+    scalars, moments, fields = [], [], []
+    for values in blocks:
+        check_names(values, declared.outputs, declared.fields)
+        rows = scalar_rows(values, declared.outputs, count)
+        scalars.append(rows)
+        moments.append(block_moments(rows, layout.origin))
+        each = zip(declared.fields, layout.fields, strict=True)
+        fields.append(
+            tuple(_field_block(f, field_rows(values, f, count), bins) for f, bins in each)
+        )
+    found = np.concatenate(scalars)
+    summed = Digest(len(found), tuple(moments), tuple(fields))
+    if len(scalars) == 1:
+        return summed._replace(values=found)
+    assert layout.bins is not None and len(found) == declared.step
+    finite = np.isfinite(found)
+    return summed._replace(
+        numbers=layout.bins.of(found),
+        finite=None if finite.all() else finite,
+        step=step_results(found, declared.coverage, declared.kind),
+    )
+
+
+def _field_block(
+    field: Field, values: Float[np.ndarray, "n size"], bins: Bins | None
+) -> FieldBlock:
+    finite = np.isfinite(values).all(1)
+    good = values if finite.all() else values[finite]
+    found = FieldBlock(len(values) - len(good), block_spread(good) if len(good) else None)
+    if not field.quantiles:
+        return found
+    if bins is None:
+        return found._replace(values=good)
+    return found._replace(numbers=bins.of(good))
 
 
 def _sketch_arrays(sketch: Sketch) -> dict[str, np.ndarray]:

@@ -13,6 +13,7 @@ from ...geometry.acceptance import geometric_tests
 from ...geometry.error_motions import error_motion_tables
 from ...geometry.positioning_lines import positioning_tests
 from ...loop.outcome.closure import Closure
+from ...startup import collected_afterwards
 from ...study.identified_machine import FILE as MACHINE
 from ...study.identified_machine import identified_machine
 from ...study.messages import listed, refusal
@@ -94,7 +95,8 @@ def write_report(
         files = {"report.json": "all results, for programs"} | {n: about[n] for n in texts}
         machine = of_study(study)
         errors = volumetric_errors(closure)
-        drawn = [*pictures(closure, tables, errors), *machine_pictures(machine)]
+        with collected_afterwards():
+            drawn = [*pictures(closure, tables, errors), *machine_pictures(machine)]
         run = {"command": command, "seconds": seconds}
         seen, volumetric = could_be_seen(closure, study), decided(found)
         shown = page(
