@@ -1,4 +1,4 @@
-"""Published evaluations (`_site.published_examples`): the GUM and Monte Carlo give what is printed."""
+"""Published evaluations (`_site.published_examples`): GUM and Monte Carlo give what is printed."""
 
 import math
 
