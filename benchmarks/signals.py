@@ -226,7 +226,8 @@ def main() -> None:
     write(
         options.out,
         {
-            "signals": len(rows), **counts, "slowest_s": slowest, "load_average": load, "next_runs": after,
+            "signals": len(rows), **counts, "slowest_s": slowest, "load_average": load,
+            "next_runs": after,
             "rows": [{k: v for k, v in row.items() if k != "message"} for row in rows],
         },
     )  # fmt: skip
