@@ -386,7 +386,7 @@ def faults(disk: dict, signals: dict, fuzz: dict) -> str:
         ["disk full from a write on", f"{disk['faults']} writes of {disk['commands']} commands",
          disk["faults"] - disk["bad"], disk["bad"]],
         ["Ctrl-C or SIGTERM", f"{sent} moments of {names}", held, sent - held],
-        ["- ends within two seconds", f"the slowest takes {signals['slowest_s']:.1f} s; load average "
+        ["- ends within 2 s", f"the slowest takes {signals['slowest_s']:.1f} s; load average "
          f"{signals['load_average'][0]:g}", signals["in_time"], sent - signals["in_time"]],
         ["broken study", f"{counts['inputs']:,}: {counts['refused']:,} refused in one message, "
          f"{counts['accepted']:,} accepted", f"{counts['inputs'] - fuzz['exceptions']:,}",
