@@ -9,6 +9,8 @@ well, and so has another run where a fault left more files than there were befor
     python benchmarks/disk_full.py
 """
 
+import hashlib
+import json
 import os
 import shutil
 import sys
@@ -35,6 +37,8 @@ from vcal.compensation import FORMATS  # noqa: E402
 _FEW = ["--set", "loop.draws=100", "--set", 'loop.effects=["backlash","scale_growth"]']
 _KEPT = ("draws/", "interrupted.json")
 """What a command may leave beside the earlier files: it goes on from there."""
+_SEARCHES = []
+"""The searches that have ended in the present run."""
 
 
 @dataclass(frozen=True)
@@ -53,9 +57,9 @@ class Command:
     """Name of its output."""
     lines: int = 1
     """Most messages; each study of several has its own."""
-    kept: str = ""
-    """Beginning of the names of the earlier files that have to stay; the page that lists several
-    studies is written anew from the start."""
+    several: bool = False
+    """Whether there is a report of each study below reports/, and a page that lists them, which is
+    written from the start."""
 
 
 def run(words: list[str]) -> tuple[int, str, str]:
@@ -100,7 +104,7 @@ def commands(work: Path) -> dict[str, Command]:
         "loop": Command(["loop", study, *_FEW, "--out"], "*"),
         "loop, two studies": Command(
             ["loop", study, str(work / "second"), *_FEW, "--again", "--out"], "up to date",
-            lines=3, kept="reports/",
+            lines=3, several=True,
         ),
         "demo": Command(["demo", "--out"], "*"),
         "uncertainty": Command(["uncertainty", study, "--draws", "20", "--out"], "*"),
@@ -159,11 +163,28 @@ def judged(
     told = said.strip().split("\n")
     right = len(told) <= command.lines and all(line.startswith("vcal: ") for line in told)
     bad += [] if right and str(out) in said else [f"message {said!r}"]
-    earlier = {name: data for name, data in before.items() if name.startswith(command.kept)}
-    kept = {name: data for name, data in kept.items() if name.startswith(command.kept)}
-    bad += [] if kept == earlier else ["other files"]
-    known = not disk.failed.startswith(str(out / "draws"))  # while it computes there is no verdict
-    return bad + ([] if command.verdict in shown or not known else ["no verdict"])
+    if command.several:
+        reports = [path.parent for path in out.glob("reports/*/report.json")]
+        bad += [] if len(reports) == 2 else ["a report is missing"]
+        names = {name: data for name, data in before.items() if name.startswith("reports/")}
+        kept = {n: data for n, data in kept.items() if n.startswith("reports/")}
+        for report in reports:
+            own = f"reports/{report.name}/"
+            same = all(kept.get(n) == data for n, data in names.items() if n.startswith(own))
+            bad += [] if same or is_whole(report) else [f"{report.name} is neither old nor new"]
+    else:
+        bad += [] if kept == before else ["other files"]
+    # While it computes there is no verdict.
+    computing = disk.failed.startswith(str(out / "draws")) or (command.several and not _SEARCHES)
+    return bad + ([] if command.verdict in shown or computing else ["no verdict"])
+
+
+def is_whole(report: Path) -> bool:
+    """Whether the files of a report are those that its record states."""
+    content = json.loads((report / "report.json").read_text(encoding="utf-8"))
+    sums = {n: one for n, one in content["sha256"].items() if n != "report.json"}
+    found = {n: hashlib.sha256(data).hexdigest() for n, data in contents(report).items()}
+    return {n: one for n, one in found.items() if n != "report.json"} == sums
 
 
 def every_write(name: str, command: Command, home: Path) -> dict:
@@ -185,6 +206,7 @@ def every_write(name: str, command: Command, home: Path) -> dict:
     shutil.copytree(home, start)
 
     def fault(disk: EveryWrite | None, number: int | None = None) -> dict:
+        _SEARCHES.clear()
         with full_disk(home, number, disk) as used:
             found = run(words)
         if number is None and not used.forked:
@@ -239,6 +261,7 @@ def remember(module, name: str) -> None:
         key = hash((str(keys.get("effects")), *arrays))
         if key not in known:
             known[key] = function(*arguments, **keys)
+        _SEARCHES.append(key)
         return known[key]
 
     setattr(module, name, once)
@@ -247,7 +270,7 @@ def remember(module, name: str) -> None:
 def main() -> None:
     """Fill the disk at every write of every command."""
     parser = parser_of(__doc__, "disk_full")
-    parser.add_argument("--only", help="Names of commands, separated by semicolons.")
+    parser.add_argument("--only", help="names of commands, separated by semicolons")
     options = parser.parse_args()
     # The processes of several studies would not have this disk.
     vcal.fleet.fleet.in_processes = lambda work, jobs, workers: (
@@ -264,6 +287,10 @@ def main() -> None:
         if any(str(work / "first-report") in one.words for one in chosen.values()):
             run(["loop", str(work / "study"), *_FEW, "--out", str(work / "first-report")])
         rows = [every_write(name, one, work / "home") for name, one in chosen.items()]
+    if options.only and options.out.is_file():  # beside the others
+        earlier = json.loads(options.out.read_text(encoding="utf-8"))["rows"]
+        fresh = {row["command"]: row for row in rows}
+        rows = [fresh.pop(row["command"], row) for row in earlier] + list(fresh.values())
     faults, bad = sum(row["writes"] for row in rows), sum(len(row["bad"]) for row in rows)
     write(options.out, {"commands": len(rows), "faults": faults, "bad": bad, "rows": rows})
     if bad or not all(row["next_run"] for row in rows):

@@ -162,7 +162,8 @@ def one(
         "of_s": round(took, 2),
         "seconds": round(seconds, 3),
         "code": code,
-        "honoured": ended and seconds <= _LIMIT_S,
+        "honoured": ended,
+        "in_time": seconds <= _LIMIT_S,
         "told": told.count("vcal: ") == 1 and "Traceback" not in told,
         "whole": after == before or is_whole(out),
         "left": left,
@@ -210,21 +211,23 @@ def main() -> None:
                 took[name, forked] *= 0.95
                 continue
             rows.append(row)
-            bad = not (row["honoured"] and row["told"] and row["whole"]) or row["left"]
+            bad = row["left"] or not all(row[k] for k in ("honoured", "in_time", "told", "whole"))
             print(("BAD " if bad else "") + json.dumps(row), flush=True)
         after = {}
         for name, words in chosen.items():
             out = work / f"{name}-{'again' * (name == 'simulate')}out"
             after[name] = Started(words, out, False).wait()[0]
-    keys = ("honoured", "told", "whole")
+    keys = ("honoured", "in_time", "told", "whole")
     counts = {key: sum(row[key] for row in rows) for key in keys}
     counts["nothing left"] = sum(not row["left"] for row in rows)
     slowest = max(row["seconds"] for row in rows)
+    load = [round(value, 1) for value in os.getloadavg()]
     print(f"{len(rows)} signals: {counts}; slowest {slowest:.2f} s; next runs {after}")
     write(
         options.out,
         {
-            "signals": len(rows), **counts, "slowest_s": slowest, "next_runs": after,
+            "signals": len(rows), **counts, "slowest_s": slowest, "load_average": load,
+            "next_runs": after,
             "rows": [{k: v for k, v in row.items() if k != "message"} for row in rows],
         },
     )  # fmt: skip

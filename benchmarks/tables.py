@@ -378,6 +378,30 @@ def interrupted(found: dict) -> str:
                  [[f"{found['draws']:,}", kills, f"{same} of {arrays}"]])  # fmt: skip
 
 
+def faults(disk: dict, signals: dict, fuzz: dict) -> str:
+    counts, loops, sent = fuzz["counts"], fuzz["loops"], signals["signals"]
+    names = ", ".join(signals["next_runs"])
+    held = min(signals[key] for key in ("honoured", "told", "whole", "nothing left"))
+    rows = [
+        ["disk full from a write on", f"{disk['faults']} writes of {disk['commands']} commands",
+         disk["faults"] - disk["bad"], disk["bad"]],
+        ["Ctrl-C or SIGTERM", f"{sent} moments of {names}", held, sent - held],
+        ["- ends within 2 s", f"the slowest takes {signals['slowest_s']:.1f} s; load average "
+         f"{signals['load_average'][0]:g}", signals["in_time"], sent - signals["in_time"]],
+        ["broken study", f"{counts['inputs']:,}: {counts['refused']:,} refused in one message, "
+         f"{counts['accepted']:,} accepted", f"{counts['inputs'] - fuzz['exceptions']:,}",
+         f"{fuzz['exceptions']}, hangs: {fuzz['hangs']}"],
+        ["loop on an accepted one", loops["run"], sum(loops.values()) - loops["run"],
+         2 * loops["run"] - sum(loops.values())],
+    ]  # fmt: skip
+    return table("fault,cases,held,not", rows)
+
+
+def detail_of_disk_full(found: dict) -> str:
+    rows = [[f"`{r['command']}`", r["writes"], len(r["bad"])] for r in found["rows"]]
+    return table("command,writes,bad", rows)
+
+
 def strd(found: dict) -> str:
     rows = (
         [
@@ -539,6 +563,7 @@ TABLES: dict[str, tuple[Callable[..., str], tuple[str, ...]]] = {
     "power_fresh": (power_made, ("power_fresh",)),
     "power_instruments_new": (power_made, ("power_new",)),
     "batch": (batch, ("batch", "batch_gpu")),
+    "faults": (faults, ("disk_full", "signals", "fuzz")),
 }
 """Function and result files of every table of the README."""
 LONG = {
@@ -566,6 +591,7 @@ LONG = {
             strd,
         )
     },
+    "disk_full": (detail_of_disk_full, ("disk_full",)),
     "power_each_new": (power_instruments, ("power_new",)),
     "campaigns": (campaigns, ("batch", "campaigns_gpu")),
     "dynamics": (dynamics, ("dynamics", "dynamics_gpu")),
