@@ -477,8 +477,8 @@ def test_summaries_made_elsewhere_give_the_same_numbers(keep):
     assert_same(found, run(function=spoilt, **options))
     several = [size for blocks, size in elsewhere.travelled if blocks == 10]
     assert len(several) == {10_000_000: 0, 0: 3, 45_000: 2, 90_000: 1}[keep]
-    # The draws of 10 blocks are 1.2 MB; bins have two bytes each.
-    assert all(size < 10_000 * 15 * 2 * 1.05 for size in several)
+    # The draws of 10 blocks are 1.2 MB.
+    assert all(size < 200_000 for size in several[-2:])
 
 
 def test_a_campaign_goes_on_with_summaries_made_elsewhere(tmp_path):

@@ -138,6 +138,36 @@ def start() -> None:
     enable_float64()
 
 
+_LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"
+_COMPILED = "/jax/core/compile/backend_compile_duration"
+"""Events of JAX at the begin and at the end of a compilation."""
+
+
+@contextmanager
+def compiling(show: Callable[[str], None]) -> Iterator[None]:
+    """Context in which `show` is told what is being compiled: ``"compiling program 3"``, and an
+    empty text where nothing is. Programs from the cache count too.
+    """
+    import jax.monitoring
+
+    begun = 0
+
+    def listen(event: str, duration: float, **more: Any) -> None:
+        nonlocal begun
+        del duration, more
+        if event == _LOWERED:
+            begun += 1
+            show(f"compiling program {begun}")
+        elif event == _COMPILED:
+            show("")
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        yield
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
+
+
 @contextmanager
 def working(text: str) -> Iterator[Callable[[str], None]]:
     """Show the current step on a terminal; yields the function to call with the next step.

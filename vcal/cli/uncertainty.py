@@ -18,7 +18,7 @@ from ..study.simulated import check_noise_factor, parse_every_with
 from ..uncertainty.checkpoint import STATE
 from ..uncertainty.virtual import check_keys, virtual_calibration
 from . import interruption
-from .session import telling
+from .session import compiling, telling
 
 _FEWEST = 11
 """Fewest draws from which a 95 % coverage interval can be formed."""
@@ -177,7 +177,9 @@ def drawing() -> Iterator[tuple[Callable[[str], None], Callable[[int, int], None
     """Show the progress of the draws on a terminal; yields two functions.
 
     The first takes the name of the current step, the second the number of finished draws and of all
-    draws. Silent where stderr is not a terminal. The display is removed at the end.
+    draws, from which the time left is estimated. Compilations are counted beside the step, as the
+    draws do not move meanwhile. Silent where stderr is not a terminal. The display is removed at
+    the end.
     """
     if not sys.stderr.isatty():
         yield lambda step: None, lambda done, total: None
@@ -190,6 +192,7 @@ def drawing() -> Iterator[tuple[Callable[[str], None], Callable[[int, int], None
         SpinnerColumn,
         TextColumn,
         TimeElapsedColumn,
+        TimeRemainingColumn,
     )
 
     columns = (
@@ -198,14 +201,22 @@ def drawing() -> Iterator[tuple[Callable[[str], None], Callable[[int, int], None
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
+        TextColumn("left:"),
+        TimeRemainingColumn(),
     )
+    what = {"step": "reading the study", "compiling": ""}
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("reading the study", total=None)
+        task = bar.add_task(what["step"], total=None)
+
+        def show(**changes: str) -> None:
+            what.update(changes)
+            bar.update(task, description=", ".join(filter(None, what.values())))
 
         def step(text: str) -> None:
-            bar.update(task, description=text)
+            show(step=text)
 
         def progress(done: int, total: int) -> None:
             bar.update(task, completed=done, total=total)
 
-        yield step, progress
+        with compiling(lambda text: show(compiling=text)):
+            yield step, progress

@@ -29,7 +29,7 @@ from .moments import (
     restored_spread,
 )
 from .outputs import Field, Output, check_names, field_rows, labels_of, scalar_rows
-from .quantile_counts import Bins, Sketch, quantile_ranks, sketch_of
+from .quantile_counts import Bins, Packed, Sketch, packed, quantile_ranks, sketch_of
 
 _PILOT = 10_000
 """Draws that define the bins of the scalar outputs."""
@@ -75,7 +75,7 @@ class FieldBlock(NamedTuple):
     """None where no draw is finite."""
     values: Float[np.ndarray, "n size"] | None = None
     """Finite draws, where the bins of their quantiles are not known yet."""
-    numbers: UInt16[np.ndarray, "n size"] | None = None
+    numbers: Packed | None = None
     """Bins of the finite draws."""
 
 
@@ -89,8 +89,8 @@ class Digest(NamedTuple):
     """One per block and field."""
     values: Float[np.ndarray, "n k"] | None = None
     """Scalar outputs of a single block, where these are kept, or are no whole sub-block."""
-    numbers: UInt16[np.ndarray, "n k"] | None = None
-    """Bins of the scalar outputs of a whole sub-block."""
+    numbers: UInt16[np.ndarray, "n k"] | Packed | None = None
+    """Bins of the scalar outputs of a whole sub-block, packed where all of them are finite."""
     finite: Bool[np.ndarray, "n k"] | None = None
     """Whether these are finite; None where all of them are."""
     step: StepResults | None = None
@@ -320,10 +320,11 @@ def digest(
     if len(scalars) == 1:
         return summed._replace(values=found)
     assert layout.bins is not None and len(found) == declared.step
-    finite = np.isfinite(found)
+    finite, numbers = np.isfinite(found), layout.bins.of(found)
+    whole = bool(finite.all())
     return summed._replace(
-        numbers=layout.bins.of(found),
-        finite=None if finite.all() else finite,
+        numbers=packed(numbers) if whole else numbers,
+        finite=None if whole else finite,
         step=step_results(found, declared.coverage, declared.kind),
     )
 
@@ -338,7 +339,7 @@ def _field_block(
         return found
     if bins is None:
         return found._replace(values=good)
-    return found._replace(numbers=bins.of(good))
+    return found._replace(numbers=packed(bins.of(good)))
 
 
 def _sketch_arrays(sketch: Sketch) -> dict[str, np.ndarray]:
