@@ -96,8 +96,9 @@ def plain(ax: Axes) -> None:
     ax.grid(True, color="#e4e7eb", linewidth=0.7)
     ax.set_axisbelow(True)
     for axis in (ax.xaxis, ax.yaxis):
-        axis.get_major_ticks = functools.partial(_copied, axis, axis.get_major_ticks, "major")
-        axis.get_minor_ticks = functools.partial(_copied, axis, axis.get_minor_ticks, "minor")
+        for which in ("major", "minor"):
+            name = f"get_{which}_ticks"
+            setattr(axis, name, functools.partial(_copied, axis, getattr(axis, name), which))
 
 
 def _copied(
