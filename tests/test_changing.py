@@ -167,6 +167,19 @@ def test_play_does_not_change_with_its_own_sense_of_travel(tracker):
     assert "dir_Y" not in names and {"X", "Y", "dir_X"} <= names
 
 
+def test_what_changes_of_an_instrument_is_no_error_of_the_machine(tracker):
+    """It is not compensated, and no check point needs what the instrument recorded."""
+    (scale,) = CATALOGUE["range_scale"].candidates(tracker.setup)
+    (play, *_) = CATALOGUE["backlash"].candidates(tracker.setup)
+    fitted = tuple(
+        Fitted(effect, {}, {p.name: 1e-6 for p in effect.amplitudes}) for effect in (scale, play)
+    )
+    setup = dataclasses.replace(tracker.setup, fitted=fitted)
+    found = {one.effect.name: one for one in Changing.candidates(setup)}
+    assert found["range_scale"].where == "instrument" and found["range_scale"].on_instrument
+    assert found["backlash"].where == "machine" and not found["backlash"].on_instrument
+
+
 @pytest.mark.parametrize("start", [0.0, 1.7534e9, -3.0])
 def test_code_has_the_digits_that_its_range_needs(start):
     """A clock may count from 1970."""

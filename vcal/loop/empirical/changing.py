@@ -59,6 +59,11 @@ class Changing(Empirical):
         )
 
     @property
+    def where(self):  # type: ignore[override]
+        """Where the effect acts that changes."""
+        return self.effect.where
+
+    @property
     def needs(self) -> tuple[str, ...]:
         return self.effect.needs
 
