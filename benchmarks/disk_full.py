@@ -33,6 +33,8 @@ from full_disk import EveryWrite, full_disk  # noqa: E402
 from histories import write_reports  # noqa: E402
 from vcal.cli import app  # noqa: E402
 from vcal.compensation import FORMATS  # noqa: E402
+from vcal.reproduce import REPRODUCTIONS, Reproduction  # noqa: E402
+from vcal.reproduce.document import Row  # noqa: E402
 
 _FEW = ["--set", "loop.draws=100", "--set", 'loop.effects=["backlash","scale_growth"]']
 _KEPT = ("draws/", "interrupted.json")
@@ -113,7 +115,7 @@ def commands(work: Path) -> dict[str, Command]:
             ["design", study, "--next", *_FEW, "--set", "design.steps=1", "--set",
              "design.starts=1", "--out"], "*",
         ),
-        "reproduce": Command(["reproduce", "acceleration", "--draws", "20", "--out"]),
+        "reproduce": Command(["reproduce", "little", "--out"], "The sum is 5."),
         **{
             f"compensate --to {name}": Command(["compensate", report, "--to", name, "--out"])
             for name in FORMATS
@@ -252,6 +254,22 @@ def _again(start: Path, home: Path) -> None:
     shutil.copytree(start, home)
 
 
+def little() -> Reproduction:
+    """A campaign of one number: the published ones take minutes, and are written by the same
+    code.
+    """
+    return Reproduction(
+        name="little", summary="a sum", title="Little", publication="none", counted="draws",
+        draws=5, least=2,
+        compute=lambda draws, seed, progress: draws + seed,
+        rows=lambda value: [Row("sum", 5.0, float(value), "um")],
+        record=lambda value: {"sum": value},
+        head=lambda value: (f"The sum is {value}.", []),
+        texts={"All": lambda value: ":numbers"},
+        shown={},
+    )  # fmt: skip
+
+
 def remember(module, name: str) -> None:
     """Have a function compute once for the same arguments: searches write nothing."""
     function, known = getattr(module, name), {}
@@ -277,6 +295,7 @@ def main() -> None:
         (i, work(job)) for i, job in enumerate(jobs)
     )
     remember(vcal.study.close_study, "close_loop")
+    REPRODUCTIONS["little"] = little()
     with tempfile.TemporaryDirectory() as temporary:
         work = Path(temporary).resolve()
         os.environ["XDG_CACHE_HOME"] = str(work / "cache")  # no program is compiled twice

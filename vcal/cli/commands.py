@@ -746,8 +746,9 @@ def reproduce(
             f"--out: found none, expected a folder for the results of {name}; give one"
         )
     browser = browser_for(pdf)
-    with working("starting") as progress:
-        page = wanted.run(out, wanted.draws if draws is None else draws, seed, progress)
+    number, summary = wanted.draws if draws is None else draws, []
+    with working("starting") as progress, telling(lambda: summary):
+        page = wanted.run(out, number, seed, progress, summary.append)
     say(f"Report: {page}")
     print_with(browser, page)
 

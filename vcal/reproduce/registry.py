@@ -134,9 +134,16 @@ class Reproduction(Generic[R]):
             )
         return Results(self, draws, seed, self.compute(draws, seed, progress, **effort))
 
-    def run(self, out: Path, draws: int, seed: int, progress: Progress) -> Path:
+    def run(
+        self,
+        out: Path,
+        draws: int,
+        seed: int,
+        progress: Progress,
+        computed: Callable[[str], None] = lambda summary: None,
+    ) -> Path:
         """Compute everything and write page, record and pictures into `out`, all or none of them;
-        returns the path of the page.
+        returns the path of the page. `computed` gets the summary before anything is written.
 
         Raises `StudyError` as `results` does, for a file, and for a folder with anything but
         results of this reproduction, as they were left.
@@ -148,6 +155,7 @@ class Reproduction(Generic[R]):
         pictures = [picture for section in found.sections for picture in section.pictures]
         record = {"schema": place.schema + "1", **found.record()}
         texts = {"index.html": found.html()}
+        computed(found.summary)
         return place.publish(out, lambda work: Contents(record, texts, pictures))
 
 
@@ -208,19 +216,23 @@ class Results(Generic[R]):
             }
         )
 
+    @property
+    def summary(self) -> str:
+        """The main results in a few sentences."""
+        return " ".join(self.of.head(self.values)[0].split())
+
     def html(self) -> str:
         """The page as one self-contained HTML text."""
-        summary, tiles = self.of.head(self.values)
         return sheet(
             self.of.title,
-            " ".join(summary.split()),
+            self.summary,
             self.sections,
             kicker=f"vcal reproduce {self.of.name}",
             facts=[
                 ("publication", self.of.publication),
                 (self.of.counted, f"{self.draws}, each one identified; seed {self.seed}"),
             ],
-            tiles=tiles,
+            tiles=self.of.head(self.values)[1],
         )
 
     def _repr_html_(self) -> str:
