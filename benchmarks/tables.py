@@ -563,7 +563,6 @@ TABLES: dict[str, tuple[Callable[..., str], tuple[str, ...]]] = {
     "power_fresh": (power_made, ("power_fresh",)),
     "power_instruments_new": (power_made, ("power_new",)),
     "batch": (batch, ("batch", "batch_gpu")),
-    "faults": (faults, ("disk_full", "signals", "fuzz")),
 }
 """Function and result files of every table of the README."""
 LONG = {
