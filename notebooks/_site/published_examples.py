@@ -577,6 +577,21 @@ EXAMPLES = (
         k=1.81,
     ),
     Published(
+        "EA-4/02, S12",
+        "household water meter, mean of three runs",
+        # Deviations from the error of indication: the public data do not state its value.
+        lambda: Inputs({"e_av": Normal(0.0, 6.0e-4, dof=2), "de": Normal(0.0, 6.8e-4)}),
+        _total,
+        (
+            Printed("u", "0.91", "", 1e3),
+            # Printed for ten degrees of freedom, of 10.5.
+            Printed("k", "2.28", within=0.012, monte_carlo=False),
+            Printed("U", "2", "", 1e3, monte_carlo=False),
+        ),
+        "public test of a program for laboratories, after EA-4/02",
+        coverage=0.9545,
+    ),
+    Published(
         "NIST TN 1900, E2",
         "surface temperature, 22 daily maxima",
         lambda: Inputs({"t": Repeats(_MAXIMA)}),
