@@ -3,13 +3,13 @@
 It reads mutations of the start studies (tests/broken_studies.py, made by hypothesis), and runs the
 loop to the end on some of those that are accepted. Each input may take ten seconds of CPU. An
 exception other than a message, or an input that takes longer, is kept in build/fuzz for a test of
-its own.
+its own. The result is written after every batch; a repeated command goes on from there.
 
     python benchmarks/fuzz.py --inputs 10000 --computed 200
 """
 
+import json
 import math
-import resource
 import shutil
 import signal
 import sys
@@ -21,7 +21,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import hypothesis
-from records import forget_programs, parser_of, write
+from records import commit_of, forget_programs, parser_of, write
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
@@ -57,17 +57,46 @@ def limited(seconds: float):
 
 
 class Campaign:
-    """Reads inputs one by one, and counts what becomes of them."""
+    """Reads inputs one by one, and counts what becomes of them, beside those of `earlier`."""
 
-    def __init__(self, folder: Path, inputs: int, computed: int):
+    def __init__(self, folder: Path, inputs: int, computed: int, earlier: dict):
         self.folder, self.inputs, self.computed = folder, inputs, computed
-        self.outcome, self.loops, self.kept = Outcome(), Counter(), Counter()
-        self.slowest = {"refused": 0.0, "accepted": 0.0, "loop": 0.0}
+        self.outcome, self.loops = Outcome(), Counter(earlier.get("loops"))
+        self.outcome.counts.update(earlier.get("counts", {}))
+        self.kept = Counter({kind: earlier.get(kind, 0) for kind in ("exceptions", "hangs")})
+        self.slowest = earlier.get("slowest_s", {"refused": 0.0, "accepted": 0.0, "loop": 0.0})
+        self.commits = Counter(earlier.get("commits"))
+        self.cpu_s = earlier.get("cpu_s", 0.0) - time.process_time()
 
     @property
     def left(self) -> int:
         """Number of inputs that are still to be read."""
         return self.inputs - self.outcome.counts["inputs"]
+
+    def batch(self, seed: int, size: int) -> None:
+        """Read a batch of inputs, made by hypothesis from a seed."""
+        before = self.outcome.counts["inputs"]
+        settings = hypothesis.settings(
+            max_examples=min(size, self.left),
+            deadline=None,
+            database=None,
+            phases=[hypothesis.Phase.generate],
+            suppress_health_check=list(hypothesis.HealthCheck),
+        )
+        hypothesis.seed(seed)(settings(hypothesis.given(studies())(self.one)))()
+        self.commits[commit_of()] += self.outcome.counts["inputs"] - before
+
+    def record(self) -> dict:
+        """Everything that was counted."""
+        return {
+            "commits": dict(self.commits),
+            "sets": self.outcome.counts["inputs"],
+            "counts": dict(sorted(self.outcome.counts.items())),
+            "loops": dict(sorted(self.loops.items())),
+            **self.kept,
+            "slowest_s": {name: round(value, 2) for name, value in self.slowest.items()},
+            "cpu_s": round(self.cpu_s + time.process_time()),
+        }
 
     def one(self, made: tuple) -> None:
         """Read one input, and run the loop on it while there are loops to run."""
@@ -129,35 +158,20 @@ def main() -> None:
     end = time.monotonic() + 60 * options.minutes
     compile_quickly()
     vcal.enable_float64()
+    head = {"seed": options.seed, "batch": options.batch}
+    earlier = {}
+    if options.out.is_file():
+        found = json.loads(options.out.read_text(encoding="utf-8"))
+        earlier = found if head.items() <= found.items() else {}
+    number = earlier.get("batches", 0)
     with tempfile.TemporaryDirectory() as work:
-        campaign, batch = Campaign(Path(work), options.inputs, options.computed), 0
+        campaign = Campaign(Path(work), options.inputs, options.computed, earlier)
         while campaign.left > 0 and time.monotonic() < end:
-            settings = hypothesis.settings(
-                max_examples=min(options.batch, campaign.left),
-                deadline=None,
-                database=None,
-                phases=[hypothesis.Phase.generate],
-                suppress_health_check=list(hypothesis.HealthCheck),
-            )
-            seeded = hypothesis.seed(options.seed + batch)
-            seeded(settings(hypothesis.given(studies())(campaign.one)))()
-            batch += 1
-            found = {**campaign.outcome.counts, **campaign.kept, "loops": campaign.loops["run"]}
-            print({**found, "cpu_s": round(time.process_time())}, flush=True)
-    used = resource.getrusage(resource.RUSAGE_SELF)
-    record = {
-        "command": f"python benchmarks/fuzz.py --inputs {options.inputs} "
-        f"--computed {options.computed} --seed {options.seed}",
-        "counts": dict(sorted(campaign.outcome.counts.items())),
-        "loops": dict(sorted(campaign.loops.items())),
-        "exceptions": campaign.kept["exceptions"],
-        "hangs": campaign.kept["hangs"],
-        "slowest_s": {name: round(value, 2) for name, value in campaign.slowest.items()},
-        "cpu_s": round(used.ru_utime + used.ru_stime),
-    }
-    write(options.out, record)
-    print(record)
-    raise SystemExit(1 if campaign.kept else 0)
+            campaign.batch(options.seed + number, options.batch)
+            number += 1
+            write(options.out, {**head, "batches": number, **campaign.record()})
+            print(campaign.record(), flush=True)
+    raise SystemExit(1 if any(campaign.kept.values()) else 0)
 
 
 if __name__ == "__main__":

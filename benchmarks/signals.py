@@ -191,17 +191,19 @@ def main() -> None:
         chosen = commands(work)
         if options.only:
             chosen = {name: chosen[name] for name in options.only.split(",")}
+        begun = time.perf_counter()
+        code, said = Started(["check"], work / "study", False).wait()
+        imports = time.perf_counter() - begun
         took = {}
         for name, words in chosen.items():
-            for forked in (True, False, True):  # the first one compiles its programs
-                out = work / f"{name}-out"
-                if name == "simulate":
-                    out = work / f"{name}-first{len(os.listdir(work))}"
+            for again in (False, True):  # the first one compiles its programs
+                out = work / f"{name}-{'again' * (again and name == 'simulate')}out"
                 begun = time.perf_counter()
-                code, said = Started(words, out, forked).wait()
-                took[name, forked] = time.perf_counter() - begun
+                code, said = Started(words, out, True).wait()
+                took[name, True] = time.perf_counter() - begun
                 if code:
                     raise SystemExit(f"{name} failed: {said}")
+            took[name, False] = imports + took[name, True]
             print(f"{name}: {took[name, False]:.1f} s, {took[name, True]:.1f} s", flush=True)
         while len(rows) < options.signals:
             name = list(chosen)[len(rows) % len(chosen)]
@@ -215,7 +217,7 @@ def main() -> None:
             print(("BAD " if bad else "") + json.dumps(row), flush=True)
         after = {}
         for name, words in chosen.items():
-            out = work / f"{name}-{'again' * (name == 'simulate')}out"
+            out = work / f"{name}-{'once-more' * (name == 'simulate')}out"
             after[name] = Started(words, out, False).wait()[0]
     keys = ("honoured", "in_time", "told", "whole")
     counts = {key: sum(row[key] for row in rows) for key in keys}
