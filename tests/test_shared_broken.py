@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 import vcal
-
 from vcal.errors import StudyError
 from vcal.loop.residuals.times import backwards
 from vcal.study import load_study
