@@ -499,6 +499,28 @@ def two_level(found: dict) -> str:
     return table(head, [row])
 
 
+def workers(found: dict) -> str:
+    rows = [
+        [
+            row["what"],
+            f"{row['draws']:,}",
+            f"{row['workers']}, one killed" if row["killed"] else row["workers"],
+            f"{row['wall_s']:.0f}",
+            f"{sum(row['workers_cpu_s']):.0f}",
+            f"{row['client_cpu_s']:.1f}",
+            f"{row['kb_per_1000_draws']:.0f}",
+            f"{row['scheduler_mib'] - row['scheduler_mib_before']:.0f}",
+            "yes" if row["same"] else "no",
+        ]
+        for row in found["rows"]
+    ]
+    head = (
+        "campaign,draws,workers,wall s,CPU s of workers,CPU s of client,kB sent per 1000 draws,"
+        "growth of scheduler MiB,equal bit for bit"
+    )
+    return table(head, rows)
+
+
 def uncertainty_peers(found: dict) -> str:
     rows = []
     for one in found["rows"]:
@@ -532,6 +554,7 @@ TABLES: dict[str, tuple[Callable[..., str], tuple[str, ...]]] = {
             compensation,
             linuxcnc,
             two_level,
+            workers,
         )
     },
     "smallest_size_of_all": (smallest_size_of_all, ("smallest_sizes",)),
