@@ -39,6 +39,7 @@ COMMANDS = {
     "practice": "practice.py --data ../shared/data",
     "speed": "speed.py --data ../shared/data",
     "uncertainty_peers": "uncertainty_peers.py --peers PYTHON",
+    "workers": "workers.py --draws 100000 --field-draws 30000",
 }
 """Commands of the results that are not those of the script of the same name without options."""
 POWER = (

@@ -150,9 +150,9 @@ def compiling(show: Callable[[str], None]) -> Iterator[None]:
 
     begun = 0
 
-    def listen(event: str, duration: float, **more: Any) -> None:
+    def listen(event: str, duration_secs: float, **kwargs: str | int) -> None:
         nonlocal begun
-        del duration, more
+        del duration_secs, kwargs
         if event == _LOWERED:
             begun += 1
             show(f"compiling program {begun}")

@@ -53,6 +53,10 @@ class Coming(Protocol):
 class Remote(Protocol):
     """An `evaluate` whose draws are computed and summarised in other processes."""
 
+    def __call__(self, first: int, count: int, device: Device = None) -> Mapping[str, Array]:
+        """The outputs of a block, which may be computed when they are read."""
+        ...
+
     def summaries(
         self, first: int, block: int, blocks: int, declared: Declared, layout: Layout
     ) -> Coming:
