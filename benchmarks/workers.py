@@ -154,7 +154,7 @@ def main() -> None:
             row["kb_per_1000_draws"] = 1e6 * record["sent_mb"] / draws
             rows.append(row)
             print(row, flush=True)
-    write(options.out, {"rows": rows, "cores": os.cpu_count()})
+            write(options.out, {"rows": rows, "cores": os.cpu_count()})
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
+import jax
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -25,7 +26,7 @@ import vcal.study.close_study
 from vcal import CATALOGUE
 from vcal.cli import app, start_studies
 from vcal.cli.interruption import listen
-from vcal.cli.session import working
+from vcal.cli.session import compiling, working
 from vcal.cli.start_studies import example
 from vcal.demo import starts
 from vcal.design.spaces import SPACES, settings_of
@@ -975,3 +976,14 @@ def test_a_command_has_one_thread_for_linear_algebra_unless_it_is_told(
         env={**kept, **more, "PYTHONPATH": path},
     )
     assert done.stdout.strip() == expected
+
+
+def test_compilations_are_counted():
+    """Also those that are in the cache: what is shown is empty again at the end."""
+    shown = []
+    with compiling(shown.append):
+        jax.jit(lambda x: x * 0.75 + 0.5)(1.0)
+    assert "compiling program 1" in shown and shown[-1] == ""
+    before = len(shown)
+    jax.jit(lambda x: x - 0.25)(1.0)
+    assert len(shown) == before

@@ -27,7 +27,7 @@ def pixels(figure: Figure) -> np.ndarray:
 
 def test_copied_ticks_are_those_of_matplotlib(monkeypatch):
     copied = pixels(drawn())
-    monkeypatch.setattr(style, "_copied", lambda axis, usual, which, count=None: usual(count))
+    monkeypatch.setattr(style, "_copied", lambda axis, usual, which, numticks=None: usual(numticks))
     np.testing.assert_array_equal(copied, pixels(drawn()))
 
 

@@ -152,9 +152,9 @@ def compiling(show: Callable[[str], None]) -> Iterator[None]:
 
     begun = 0
 
-    def listen(event: str, duration_secs: float, **more: Any) -> None:
+    def listen(event: str, duration_secs: float, **kwargs: str | int) -> None:
         nonlocal begun
-        del duration_secs, more
+        del duration_secs, kwargs
         if event == _LOWERED:
             begun += 1
             show(f"compiling program {begun}")

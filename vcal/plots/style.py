@@ -102,7 +102,7 @@ def plain(ax: Axes) -> None:
 
 
 def _copied(
-    axis: Axis, usual: Callable[[int], list[Tick]], which: str, count: int | None = None
+    axis: Axis, usual: Callable[[int], list[Tick]], which: str, numticks: int | None = None
 ) -> list[Tick]:
     """The ticks of an axis, each a copy of the first one.
 
@@ -110,16 +110,16 @@ def _copied(
     style sheet and then copy the properties of the first one, which takes a quarter of the time of
     a picture.
     """
-    if count is None:
-        count = len(axis.get_majorticklocs() if which == "major" else axis.get_minorticklocs())
-    ticks = usual(min(count, 1))
+    if numticks is None:
+        numticks = len(axis.get_majorticklocs() if which == "major" else axis.get_minorticklocs())
+    ticks = usual(min(numticks, 1))
     known = axis.majorTicks if which == "major" else axis.minorTicks
-    while ticks and len(known) < count:
+    while ticks and len(known) < numticks:
         one = copy.copy(ticks[0])
         for name in ("tick1line", "tick2line", "gridline", "label1", "label2"):
             setattr(one, name, copy.copy(getattr(one, name)))
         known.append(one)
-    return known[:count]
+    return known[:numticks]
 
 
 def titled(ax: Axes, title: str, x: str = "", y: str = "") -> None:

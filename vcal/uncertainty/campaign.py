@@ -323,7 +323,6 @@ class _Evaluate:
         self.ways = [
             (self._compiled(way, min(together, size), programs), size) for way, size in ways
         ]
-        self.first = ways[0][0]
 
     def _content(self) -> tuple[Any, ...]:
         """What all draws share, as an argument of `one`."""
@@ -368,8 +367,12 @@ class _Evaluate:
         numbers = hashlib.sha256(str(jax.tree.structure(content)).encode())
         for leaf in jax.tree.leaves(content):
             numbers.update(np.asarray(leaf).tobytes())
-        one = partial(self.one, self.first, self.tolerance, self.content, self.key)
-        program = jax.make_jaxpr(one)(np.uint32(0))
+        function, size = self.ways[0]
+        index = np.zeros(size, np.uint32)
+        if hasattr(function, "trace"):
+            program = function.trace(index).jaxpr  # the first block needs it too, and finds it
+        else:
+            program = jax.make_jaxpr(function)(index)
         return {
             "seed": self.seed,
             "tolerance": self.tolerance,

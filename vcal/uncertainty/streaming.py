@@ -53,8 +53,8 @@ class Coming(Protocol):
 class Remote(Protocol):
     """An `evaluate` whose draws are computed and summarised in other processes."""
 
-    def __call__(self, first: int, count: int, device: Any = None) -> Mapping[str, Array]:
-        """The outputs of draws, as of any `evaluate`."""
+    def __call__(self, first: int, count: int, device: Device = None) -> Mapping[str, Array]:
+        """The outputs of a block, which may be computed when they are read."""
         ...
 
     def summaries(
