@@ -1285,6 +1285,7 @@ def test_what_was_changed_since_is_not_replaced(closed, quick, tmp_path, name):
     _, study, closure = closed
     out = tmp_path / "report"
     write_report(closure, study, out)
+    record = (out / "report.json").read_bytes()
     if name == "report.json":
         text = json.dumps(strict(out / name) | {"notes": ["mine"]})
     else:  # the report has no own_effect.py of its own here: that of a user is as dear
@@ -1299,14 +1300,9 @@ def test_what_was_changed_since_is_not_replaced(closed, quick, tmp_path, name):
     assert contents(out) == before
     (out / name).rename(out / "mine")
     if name == "report.json":  # without it, the folder holds no report
-        (out / name).write_bytes(written_anew(closure, study, tmp_path)[name])
+        (out / name).write_bytes(record)
     write_report(closure, study, out)
     assert (out / "mine").read_text(encoding="utf-8") == text
-
-
-def written_anew(closure, study, tmp_path):
-    write_report(closure, study, tmp_path / "anew")
-    return contents(tmp_path / "anew")
 
 
 def test_what_is_changed_while_the_report_is_made(closed, quick, tmp_path, monkeypatch):
