@@ -3,7 +3,7 @@
 The problem is that of batch.py. The same campaign runs on one worker, on two, and on two of which
 one is killed after the first tenth of the draws; scheduler and workers are processes of their own
 with one thread each. CPU seconds are those of all workers that live at the end. What leaves the
-workers is counted by them, the memory of the scheduler is its largest. Needs the extra `cluster`.
+workers is counted by them; the memory of the scheduler is its peak. Needs the extra `cluster`, and Linux.
 
     python benchmarks/workers.py --draws 1000000
 """
@@ -73,16 +73,23 @@ def sent(dask_worker: Any) -> int:
     return dask_worker.transfer_outgoing_bytes_total
 
 
-def largest() -> float:
-    """Largest memory of a process so far, MiB."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+def forget_peak() -> float:
+    """Memory of a process now, MiB; its peak begins there."""
+    Path("/proc/self/clear_refs").write_text("5")
+    return peak()
+
+
+def peak() -> float:
+    """Largest memory of a process since `forget_peak`, MiB."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024.0
 
 
 def measured(given: dict[str, Any], workers: int, kill: bool) -> tuple[Campaign, dict[str, Any]]:
     """One campaign on a new cluster, after a short one that compiles."""
     with cluster(workers) as client:
         monte_carlo(**given | {"draws": 4_000}, client=client)
-        memory = client.run_on_scheduler(largest)
+        memory = client.run_on_scheduler(forget_peak)
         cpu, traffic, own = client.run(used), client.run(sent), used()
         pids = client.run(os.getpid)
         killed = []
@@ -106,7 +113,7 @@ def measured(given: dict[str, Any], workers: int, kill: bool) -> tuple[Campaign,
             "sent_mb": sum(
                 value - traffic.get(name, 0) for name, value in client.run(sent).items()
             ) / 1e6,
-            "scheduler_mib": client.run_on_scheduler(largest),
+            "scheduler_mib": client.run_on_scheduler(peak),
             "scheduler_mib_before": memory,
             "scheduler_tasks_left": client.run_on_scheduler(lambda dask_scheduler: len(
                 dask_scheduler.tasks)),

@@ -3,7 +3,8 @@
 What travels to a worker are the models, the plan and the quantities, once for every campaign; what
 comes back are the summaries of blocks (`vcal.uncertainty.summary.digest`): sums, the numbers of
 bins, and the values of those scalar outputs that are kept. The outputs of the first block come back
-as they are and show where the bins lie; meanwhile the other workers compile, each for itself. The
+as they are and show where the bins lie; meanwhile the other workers compile, each for itself, and
+keep what they compile in the cache of their user, as `vcal.enable_float64` does. The
 blocks are those of one process, in the same order of addition, and so are the results, bit for bit,
 on processors of one kind. A block whose worker ends is computed by another one.
 """
@@ -21,6 +22,7 @@ import jax
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from ..numerics.program_cache import keep_programs
 from .summary import Declared, Digest, Layout, digest
 
 TRIES = 3
@@ -105,6 +107,7 @@ class _Work:
     def evaluate(self) -> Evaluate:
         """The function of a range of draws."""
         jax.config.update("jax_enable_x64", True)
+        keep_programs()
         return self.make(*pickle.loads(self.content))
 
 
