@@ -3,7 +3,8 @@
 The problem is that of batch.py. The same campaign runs on one worker, on two, and on two of which
 one is killed after the first tenth of the draws; scheduler and workers are processes of their own
 with one thread each. CPU seconds are those of all workers that live at the end. What leaves the
-workers is counted by them; the memory of the scheduler is its peak. Needs the extra `cluster`, and Linux.
+workers is counted by them; the memory of the scheduler is its peak. Needs the extra `cluster` and
+Linux.
 
     python benchmarks/workers.py --draws 1000000
 """
