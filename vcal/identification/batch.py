@@ -426,17 +426,31 @@ def _stepped(residual, solver: SharedCurvature, start, length, readings, steps: 
     given = start, readings, {"decrement": length}
     state = solver.init(with_aux, *given, None, None, frozenset())
     first, state, _ = solver.step(with_aux, *given, state, frozenset())
-    found = optx.least_squares(
-        residual,
-        solver,
-        first,
-        readings,
-        options={"state": state},
-        max_steps=steps - 1,
-        throw=False,
-    )
-    good = (found.result == optx.RESULTS.successful) & jnp.all(jnp.isfinite(found.value))
-    return Identified(found.value, good, found.stats["num_steps"] + 1)
+    return _driven(with_aux, solver, first, state, readings, steps)
+
+
+def _driven(function, solver: SharedCurvature, start, state: _Steps, readings, steps) -> Identified:
+    """Step until the solver ends, or has made `steps` steps.
+
+    A draw is not differentiated, and its solver has no auxiliary output. `optimistix.least_squares`
+    prepares for both, and takes two thirds longer to compile.
+    """
+    rest = readings, {}
+
+    def ended(theta: Array, state: _Steps):
+        return solver.terminate(function, theta, *rest, state, frozenset())
+
+    def goes_on(now):
+        return ~ended(*now)[0] & (now[1].count < steps)
+
+    def step(now):
+        theta, state = now
+        return solver.step(function, theta, *rest, state, frozenset())[:2]
+
+    theta, state = jax.lax.while_loop(goes_on, step, (start, state))
+    done, result = ended(theta, state)
+    good = done & (result == optx.RESULTS.successful) & jnp.all(jnp.isfinite(theta))
+    return Identified(theta, good, state.count)
 
 
 def identify_alone(
@@ -448,16 +462,12 @@ def identify_alone(
     start, _ = batch.linear(readings)
     start = jnp.where(jnp.isfinite(start), start, 0.0)
     own = OwnCurvature(inverse=batch.inverse, tolerance=tolerance, root=batch.root)
-    found = optx.least_squares(
-        batch.dense_residual,
-        own,
-        start,
-        readings,
-        max_steps=steps,
-        throw=False,
-    )
-    good = (found.result == optx.RESULTS.successful) & jnp.all(jnp.isfinite(found.value))
-    return Identified(found.value, good, found.stats["num_steps"])
+
+    def with_aux(theta, y):
+        return batch.dense_residual(theta, y), None
+
+    state = own.init(with_aux, start, readings, {}, None, None, frozenset())
+    return _driven(with_aux, own, start, state, readings, steps)
 
 
 def identify_damped(

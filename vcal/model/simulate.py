@@ -9,6 +9,7 @@ with the positions that an implicit instrument would find.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -362,15 +363,24 @@ def scattered(chain: Chain, plan: Plan, key: PRNGKeyArray, rows: int) -> Plan:
     Where a travel is not bounded, positions are within the range of `plan`. All other covariates
     are those of a row of `plan` chosen at random, so that they are consistent (`Plan.elsewhere`).
     """
-    at, where, direction = jax.random.split(key, 3)
-    picked = np.asarray(jax.random.choice(where, plan.rows, (rows,)))
+    picked, share, signs = map(np.asarray, _at_random(key, plan.rows, (rows, len(plan.axes))))
     low, high = travels(chain, plan).T
-    position = low + (high - low) * np.asarray(jax.random.uniform(at, (rows, len(plan.axes))))
+    position = low + (high - low) * share
     found = plan.elsewhere(position, picked)
-    signs = np.asarray(jax.random.rademacher(direction, position.shape, float))
     directions = {f"dir_{axis}": signs[:, i] for i, axis in enumerate(plan.axes)}
     directions = {name: values for name, values in directions.items() if name in found.covariates}
     return Plan(plan.axes, position, {**found.covariates, **directions})
+
+
+@partial(jax.jit, static_argnums=(1, 2))
+def _at_random(
+    key: PRNGKeyArray, choices: int, shape: tuple[int, int]
+) -> tuple[Array, Array, Array]:
+    """A choice per row, and a share of the travel and a sign per element of `shape`."""
+    at, where, direction = jax.random.split(key, 3)
+    picked = jax.random.choice(where, choices, shape[:1])
+    share = jax.random.uniform(at, shape)
+    return picked, share, jax.random.rademacher(direction, shape, float)
 
 
 def conditions_at(plan: Plan, position: Float[np.ndarray, "n axes"]) -> Plan:

@@ -12,7 +12,7 @@ identified parameters that it biases.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -60,8 +60,15 @@ def linearised(pair: Pair, measures: Sequence[Measure], coverage: float = 0.95) 
     values, as they have no sensitivity at amplitudes of zero. `coverage` is the coverage
     probability of the budget.
     """
-    declared = [o for m in measures for o in m.outputs]
-    value, by_true, by_found = _derivatives(pair, measures)
+    (found,) = linearised_groups(pair, [measures], coverage)
+    return found
+
+
+def linearised_groups(
+    pair: Pair, groups: Sequence[Sequence[Measure]], coverage: float = 0.95
+) -> list[Linearised]:
+    """`linearised` for several groups of quantities, with one program for their derivatives."""
+    value, by_true, by_found = _derivatives(pair, [m for group in groups for m in group])
     given = sources(pair)
     gain = np.asarray(pair.batch.gain)
     # Every column: one standard deviation of one element of a source.
@@ -69,6 +76,25 @@ def linearised(pair: Pair, measures: Sequence[Measure], coverage: float = 0.95) 
         name: _times(by_true, source.parameters) + by_found @ source.through(gain)
         for name, source in given.items()
     }
+    found, start = [], 0
+    for group in groups:
+        size = sum(math.prod(o.shape) for m in group for o in m.outputs)
+        own = slice(start, start + size)
+        of_group = {name: part[own] for name, part in parts.items()}
+        found.append(_linearised(pair, group, value[own], of_group, coverage))
+        start += size
+    return found
+
+
+def _linearised(
+    pair: Pair,
+    measures: Sequence[Measure],
+    value: np.ndarray,
+    parts: Mapping[str, np.ndarray],
+    coverage: float,
+) -> Linearised:
+    """From the values of all outputs and their columns by source."""
+    declared = [o for m in measures for o in m.outputs]
     columns = np.concatenate(list(parts.values()), 1)
     defined = np.isfinite(value) & np.isfinite(columns).all(1)
     scalars, labels, fields, start = [], [], {}, 0
@@ -149,8 +175,8 @@ def _derivatives(
 
     at = jnp.concatenate([true, found])
     push = jit_outermost(lambda unit: jax.jvp(judged, (at,), (unit,)))
-    value, _ = push(jnp.zeros(len(at)))
-    slopes = np.stack([np.asarray(push(unit)[1]) for unit in jnp.eye(len(at))], 1)
+    value, _ = push(np.zeros(len(at)))
+    slopes = np.stack([np.asarray(push(unit)[1]) for unit in np.eye(len(at))], 1)
     return np.asarray(value), slopes[:, : len(true)], slopes[:, len(true) :]
 
 

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -18,6 +19,7 @@ from ..model.forward import Model, tool_columns
 from ..model.port_map import PortMap, port_map
 from ..model.simulate import Simulator, conditions_at, travels
 from ..numerics.arrays import Array
+from ..numerics.rigid import Scalar
 from ..numerics.spatial import after_small_alignment
 from .outputs import Field, Output
 
@@ -145,27 +147,24 @@ class ErrorMotionErrors(eqx.Module, Quantity):
     def measure(self, pair: Pair) -> Measure:
         chain, plan = pair.truth.chain, pair.simulator.plan
         travel = travels(chain, plan)
-        positions, ports, labels = [], [], []
         middle = travel.mean(1)
+        positions = np.tile(middle, (len(travel), self.nodes, 1))
+        labels = []
         for a, axis in enumerate(chain.axes):
-            for x in np.linspace(travel[a, 0], travel[a, 1], self.nodes):
-                at = middle.copy()
-                at[a] = x
-                for c in COMPONENTS:
-                    positions.append(at)
-                    ports.append(6 * a + COMPONENTS.index(c))
-                    turns = chain.joints[a].turns
-                    place = f"{np.rad2deg(x):.4g} deg" if turns else f"{x:.4g} m"
-                    unit = "um" if c in "XYZ" else "urad"
-                    labels.append(f"E{c}{axis} at {place} [{unit}]")
-        where = conditions_at(plan, np.asarray(positions))
-        return _ErrorMotionErrors(*pair.maps(where), tuple(ports), tuple(labels))
+            positions[a, :, a] = np.linspace(travel[a, 0], travel[a, 1], self.nodes)
+            for x in positions[a, :, a]:
+                place = f"{np.rad2deg(x):.4g} deg" if chain.joints[a].turns else f"{x:.4g} m"
+                units = ["um" if c in "XYZ" else "urad" for c in COMPONENTS]
+                named = zip(COMPONENTS, units, strict=True)
+                labels += [f"E{c}{axis} at {place} [{unit}]" for c, unit in named]
+        where = conditions_at(plan, positions.reshape(-1, len(travel)))
+        return _ErrorMotionErrors(*pair.maps(where), self.nodes, tuple(labels))
 
 
 class _ErrorMotionErrors(Measure):
     true: PortMap
     found: PortMap
-    ports: tuple[int, ...] = eqx.field(static=True)
+    nodes: int = eqx.field(static=True)
     labels: tuple[str, ...] = eqx.field(static=True)
 
     @property
@@ -175,16 +174,22 @@ class _ErrorMotionErrors(Measure):
     def __call__(self, state: State) -> dict[str, Array]:
         true = self.true(state.true, state.true_shapes)
         found = self.found(state.found, state.found_shapes)
-        rows = range(len(self.ports))
-        left = [
-            _at(true[port], row) - _at(found[port], row)
-            for port, row in zip(self.ports, rows, strict=True)
-        ]
-        return {"error motion": jnp.stack([jnp.asarray(v) for v in left]) / _MICRO}
+        left = []
+        for first in range(0, len(self.labels) // len(COMPONENTS), self.nodes):
+            rows = slice(first, first + self.nodes)
+            a = first // self.nodes * len(COMPONENTS)
+            ports = range(a, a + len(COMPONENTS))
+            left.append(
+                jnp.stack(
+                    [self._along(true[p], rows) - self._along(found[p], rows) for p in ports], -1
+                )
+            )
+        return {"error motion": jnp.concatenate(left).reshape(-1) / _MICRO}
 
-
-def _at(values, row: int):
-    return values[row] if jnp.ndim(values) else values
+    def _along(self, port: Scalar, rows: slice) -> Array:
+        """A port at the nodes of one axis (nodes,)."""
+        values = jnp.asarray(port)
+        return jnp.broadcast_to(values[rows] if values.ndim else values, (self.nodes,))
 
 
 # --- straight motions of the tool point ---
@@ -289,7 +294,7 @@ class _VolumetricErrors(Measure):
         found = self.found(state.found, state.found_shapes)
         real = jnp.stack(tool_columns(self.chain, position, true), -1)
         predicted = jnp.stack(tool_columns(self.chain, position, found), -1)
-        before, after = (self._error(points, real) for points in (self.nominal, predicted))
+        before, after = self._errors(jnp.stack([jnp.asarray(self.nominal), predicted]), real)
         size_before, size_after = _length(before), _length(after)
         scalars = [f(size) for size in (size_before, size_after) for f in (jnp.mean, _rms, jnp.max)]
         return {
@@ -299,8 +304,10 @@ class _VolumetricErrors(Measure):
             "error components after [um]": after / _MICRO,
         }
 
-    def _error(self, found: Array, real: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-        return after_small_alignment(jnp.asarray(found), real) if self.align else real - found
+    def _errors(self, found: Float[Array, "2 n 3"], real: Float[Array, "n 3"]) -> Array:
+        if not self.align:
+            return real - found
+        return jax.vmap(after_small_alignment, (0, None))(found, real)
 
 
 _WHEN = ("before", "after")

@@ -31,7 +31,7 @@ from .adaptive import Precision
 from .campaign import Campaign, monte_carlo
 from .comparison import Comparison, compare
 from .ensemble import Ensemble, FieldResult
-from .linear import Linearised, linearised
+from .linear import Linearised, linearised_groups
 from .outputs import Field, Output
 from .quantities import (
     ErrorMotionErrors,
@@ -241,9 +241,10 @@ def virtual_calibration(
     step("propagating uncertainty (GUM)")
     pair = campaign.pair
     along = [quantity.measure(pair) for quantity in (motions, *straight)]
-    linear = linearised(pair, [ParameterErrors().measure(pair), *along], coverage)
+    after = [ParameterErrors().measure(pair), *along]
     before = [_Uncompensated(one) for one in along]
-    inputs = linearised(pair, [*before, _Parts(volumetric.measure(pair))], coverage)
+    volume = _Parts(volumetric.measure(pair))
+    linear, inputs = linearised_groups(pair, (after, (*before, volume)), coverage)
     contributions, known = _contributions(pair, inputs, points.rows)
     learnt, unseen = _learnt(pair)
     compared = compare(linear.budget, campaign.ensemble, digits)
