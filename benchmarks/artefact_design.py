@@ -46,7 +46,7 @@ def main() -> None:
         record = {"device": jax.devices()[0].device_kind, "draws": options.draws, "rows": rows}
         write(options.out, record)
 
-    programs = Programs()
+    programs = Programs(brief=True)
     for known in KNOWN:
         row(
             f"sweep, exact, {known}",

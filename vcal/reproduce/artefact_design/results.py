@@ -91,7 +91,7 @@ class Results(Computed):
     @cached_property
     def programs(self) -> Programs:
         """Shared by all campaigns."""
-        return Programs()
+        return Programs(brief=True)
 
     @property
     def before_um(self) -> tuple[float, float]:

@@ -4,7 +4,9 @@ All designs meet the same machines (common random numbers), so that the trends s
 does and not which machines were drawn.
 """
 
+import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Literal
@@ -94,18 +96,23 @@ def exact(
     progress: Progress = lambda step: None,
     only: Sequence[tuple[Varied, float]] | None = None,
 ) -> dict[tuple[Varied, float], Drawn]:
-    """Machines with exact kinematics, measured and identified, with every design or with some."""
-    programs = programs or Programs()
-    found = {}
-    for design in designs():
-        if only is not None and design.key not in only:
-            continue
+    """Machines with exact kinematics, measured and identified, with every design or with some.
+
+    Designs are computed side by side, one per core, as each number of balls is compiled anew, for
+    which the compiler uses hardly more than one core.
+    """
+    programs = programs or Programs(brief=True)
+
+    def one(design: Design) -> tuple[tuple[Varied, float], Drawn]:
         progress(f"machines, {known}, {design.varied} = {design.value:g}")
         made: Machines = calibrate(
             task, design.poses, known, draws=draws, seed=seed, programs=programs
         )
-        found[design.key] = drawn(made)
-    return found
+        return design.key, drawn(made)
+
+    wanted = [design for design in designs() if only is None or design.key in only]
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        return dict(pool.map(one, wanted))
 
 
 def drawn(made: Machines) -> Drawn:
