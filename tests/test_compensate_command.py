@@ -154,6 +154,18 @@ def test_reports_that_cannot_be_used(report, tmp_path, change, said):
     assert said in message and message.count("\n") == 1
 
 
+def test_the_page_of_a_report_names_its_machine(report):
+    by_page, by_folder = load_machine(report / "index.html"), load_machine(report)
+    assert np.array_equal(by_page.theta, by_folder.theta)
+
+
+def test_a_page_is_no_study(tmp_path):
+    page = tmp_path / "page.html"
+    page.write_text("<!DOCTYPE html>", encoding="utf-8")
+    message = refused("verify", page)
+    assert "what is not TOML" in message and "name a study file (setup.toml)" in message
+
+
 def test_a_folder_without_a_machine(tmp_path):
     (tmp_path / "report.json").write_text('{"schema": "vcal-report/1"}', encoding="utf-8")
     for source in (tmp_path, tmp_path / "report.json"):

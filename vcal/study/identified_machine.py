@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 FILE = "machine.json"
 """Name of the record in the folder of a report."""
-_REPORT = "report.json"
+_REPORT, _PAGE = "report.json", "index.html"
 
 
 _BLOCK = 256
@@ -58,22 +58,22 @@ def stated_of(study: "Study") -> dict[str, dict[str, Any]]:
 
 
 def is_report(path: Path) -> bool:
-    """Whether a path is the folder of a report, or the record of one."""
+    """Whether a path is the folder of a report, or the page or the record of one."""
     if path.is_dir():
         return (path / FILE).is_file() or (path / _REPORT).is_file()
-    return path.suffix == ".json"
+    return path.suffix == ".json" or path.name == _PAGE
 
 
 def load_machine(path: Path | str) -> IdentifiedMachine:
-    """The identified machine of a report of ``vcal loop``: its folder, ``report.json`` or
-    ``machine.json``. The measurement is not needed.
+    """The identified machine of a report of ``vcal loop``: its folder, its page ``index.html``,
+    ``report.json`` or ``machine.json``. The measurement is not needed.
 
     Raises `StudyError` for a file that is none, for one of another schema, and where an effect
     cannot be restored.
     """
     path = Path(path)
     file = path / FILE if path.is_dir() else path
-    if file.name == _REPORT:
+    if file.name in (_REPORT, _PAGE):
         file = file.with_name(FILE)
     expected = f"{FILE} of a report written by vcal loop, schema {SCHEMA}"
     again = "write the report again with vcal loop, or name the study instead"

@@ -52,12 +52,14 @@ def read_setup(
     except (ValueError, RecursionError) as error:
         # For numbers of thousands of digits and deeply nested brackets, the parser has no place.
         what, _, place = str(error).partition(" (at ")
+        named = path.suffix == ".toml"
+        other = "" if named else ", or name a study file (setup.toml) or its folder"
         raise refusal(
             path.name,
             place.rstrip(")") or "file",
             f"what is not TOML ({what})",
             "`key = value` below a [table], text in quotes",
-            "correct the line",
+            f"correct the line{other}",
         ) from error
     check_tree(raw, path.name)
     given: dict[str, str] = {}
