@@ -54,6 +54,12 @@ def test_rows_of_an_override_are_numbers_that_python_reads(small_tracker_study, 
     assert "expected a row from 0 to 0" in message
 
 
+def test_a_space_that_is_none_of_the_usual_is_seen(small_tracker_study):
+    message = refused(small_tracker_study, ["loop.al\u00a0pha=1"])
+    assert message.isprintable() and r"al\xa0pha" in message
+    assert r"\u2009" in str(refusal("one\u2009file", "key a", "b", "c", "d"))
+
+
 def test_a_missing_file_is_named_with_its_key(small_ball_study, tmp_path):
     for file, key in (
         ("artefact.csv", "key instrument.artefact of setup.toml"),

@@ -27,20 +27,22 @@ def three_digits(value: float) -> str:
     return f"{value:.0f}" if 999.5 <= abs(value) < 1e6 else f"{value:.3g}"
 
 
-def printable(text: str, lines: bool = True) -> str:
+def printable(text: str, lines: bool = True, *, spaces: bool = True) -> str:
     """A text with control characters written as escapes: ``\\x1b`` for the escape character.
 
     Ends of lines and tabs are kept with `lines`, as in a text of vcal's own. A text of the user
-    that stands in one line is taken without.
+    that stands in one line is taken without. Without `spaces`, spaces other than the usual one are
+    written as escapes too: in a message that quotes a key, they are what is wrong with it.
     """
     if text.isascii() and text.isprintable():
         return text
     kept = "\n\t" if lines else ""
+    unseen = _UNSEEN if spaces else (*_UNSEEN, "Zs")
     # A page has a million characters, but few different ones.
     escapes = {
         ord(c): c.encode("unicode_escape").decode()
         for c in set(text)
-        if unicodedata.category(c) in _UNSEEN and c not in kept
+        if unicodedata.category(c) in unseen and c not in kept and c != " "
     }
     return text.translate(escapes) if escapes else text
 

@@ -46,7 +46,7 @@ def refusal(file: str, where: str, found: str, expected: str, do: str) -> StudyE
     """The error to raise for one mistake, in the form that all messages share: in one line, with
     control characters of the user's texts written as escapes, and cut where it would be long.
     """
-    parts = (printable(part, lines=False) for part in (file, where, found, expected, do))
+    parts = (printable(p, lines=False, spaces=False) for p in (file, where, found, expected, do))
     most = (200, 200, _MOST_OF_A_PART, 1000, _MOST_OF_A_PART)
     file, where, found, expected, do = (cut(p, m) for p, m in zip(parts, most, strict=True))
     message = f"{file}, {where}: found {found}, expected {expected}; {do}"
@@ -55,7 +55,7 @@ def refusal(file: str, where: str, found: str, expected: str, do: str) -> StudyE
 
 def stated(file: str, where: str, what: str) -> StudyError:
     """The same for a mistake whose words, from "found" on, are made already."""
-    message = printable(f"{cut(file, 200)}, {cut(where, 200)}: {what}", lines=False)
+    message = printable(f"{cut(file, 200)}, {cut(where, 200)}: {what}", lines=False, spaces=False)
     return StudyError(cut(message, MOST_CHARACTERS))
 
 
