@@ -323,6 +323,7 @@ def test_far_station_is_pointed_at(tmp_path):
     assert np.ptp(ax.get_xlim()) < 5e3 and one.name == ""
 
 
+@pytest.mark.slow
 def test_drawing_is_the_same_every_time():
     machine = of_study(load_study(STARTS / "static_r_test"))
     first, second = (

@@ -85,6 +85,7 @@ def somewhere(space, seed=1):
 # --- the plans ------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_the_plan_as_it_is_is_where_the_search_starts(turned):
     study, task = task_of(turned, *ROOM)
     space = task.space
@@ -239,7 +240,7 @@ def assert_close(found, expected, atol=2e-5):
     np.testing.assert_allclose(found / size, expected / size, atol=atol)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_covariance_by_plain_numpy(turned):
     _, task = task_of(turned, *ROOM)
     space, compiled = task.space, Compiled(task)

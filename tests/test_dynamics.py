@@ -183,6 +183,7 @@ def test_step_of_a_rigid_mass(Tn):
         x, v, i = x + v * T + force / m * T**2 / 2, v + force / m * T, i + T / Tn * e
 
 
+@pytest.mark.slow
 def test_step_in_the_limit_of_fast_samples():
     """x'' = w (Kv (1 - x) - x'), the second-order system of a P-P cascade."""
     Kv, w = 40.0, 120.0

@@ -110,6 +110,7 @@ def test_a_path_in_space_has_no_such_evaluation():
         recipe(Layout.named("3d").segments)
 
 
+@pytest.mark.slow
 def test_table_four():
     first, *others = variants()
     assert first.exchanged <= 0.12 < first.as_printed

@@ -419,10 +419,9 @@ def test_readings_without_any_noise(tracker):
     assert any("scatter at most 0.01 times" in note for note in closure.notes)
 
 
-@pytest.mark.parametrize("size", [0.0, pytest.param(20.0, marks=pytest.mark.thorough)])
-@pytest.mark.parametrize(
-    "instrument", ["ball_array", pytest.param("laser_tracker", marks=pytest.mark.thorough)]
-)
+@pytest.mark.thorough
+@pytest.mark.parametrize("size", [0.0, 20.0])
+@pytest.mark.parametrize("instrument", ["ball_array", "laser_tracker"])
 def test_readings_of_another_simulation_without_any_noise(instrument, size, tmp_path):
     """Nothing is told by how it rounds, and by what the prior holds back."""
     true = [{"effect": "backlash", "axis": "Y", "size_um": size}] if size else []

@@ -180,7 +180,7 @@ def forked(action):
 
 
 @posix
-@pytest.mark.parametrize("kind", [PLACE, LIVE])
+@pytest.mark.parametrize("kind", [PLACE, pytest.param(LIVE, marks=pytest.mark.slow)])
 def test_a_kill_between_any_two_steps(place, kind, monkeypatch):
     before = contents(place)
     names = ("index.html", "table.csv", "more.csv")

@@ -44,7 +44,7 @@ CAMPAIGN, SLOW = pytest.mark.campaign, pytest.mark.slow
         pytest.param("04_balls_scale_growth", "named", ["scale_growth X"], 4.2, marks=SLOW),
         pytest.param("05_balls_clean", "nothing_missing", [], 4.8, marks=CAMPAIGN),
         pytest.param("07_balls_two_effects", "named", ["backlash X", "thermal_tilt Y"], 5.0,
-                     marks=SLOW),
+                     marks=CAMPAIGN),
     ],
 )  # fmt: skip
 def test_practice_case(case, verdict, effects, limit_um):
