@@ -124,9 +124,8 @@ def test_a_class_of_pitches_is_named_and_what_is_common_is_compensated(tmp_path)
     ("step", "count", "pitch", "without"),
     [
         (50.0, 20, 17.0, "geometric_order EXX"),  # a wave of 850 mm along 950 mm of travel
-        pytest.param(
-            47.0, 21, 12.0, "local_bump X", marks=pytest.mark.thorough
-        ),  # 564 mm: one dent
+        # a wave of 564 mm: one dent describes it
+        pytest.param(47.0, 21, 12.0, "local_bump X", marks=pytest.mark.thorough),
         (50.0, 20, 13.0, "larger sizes"),  # a wave of 325 mm, nearly a term of the geometry
     ],
 )
