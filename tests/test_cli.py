@@ -23,8 +23,8 @@ import vcal.cli.show
 import vcal.fleet.one_study
 import vcal.report
 import vcal.study.close_study
-from vcal import CATALOGUE
-from vcal.cli import app, start_studies
+from vcal import CATALOGUE, StudyError
+from vcal.cli import app, interruption, start_studies
 from vcal.cli.interruption import listen
 from vcal.cli.session import compiling, working
 from vcal.cli.start_studies import example
@@ -765,6 +765,21 @@ def test_interrupted_before_there_is_anything(tmp_path, small_tracker_study, mon
     shown = run("loop", small_tracker_study, "--out", tmp_path / "out", code=130)
     assert shown.stderr == "vcal: interrupted; nothing was written\n"
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("becomes", [ImportError("initialization failed"), StudyError("not there")])
+def test_an_interruption_that_becomes_another_error(small_tracker_study, monkeypatch, becomes):
+    """Where a compiled module is imported, `KeyboardInterrupt` becomes an `ImportError`."""
+
+    def interrupted(*args, **kwargs):
+        monkeypatch.setattr(interruption._STATE, "number", signal.SIGTERM)
+        raise becomes
+
+    monkeypatch.setattr(vcal.study.close_study, "close_loop", interrupted)
+    out = small_tracker_study / "out"
+    shown = run("loop", small_tracker_study, "--out", out, code=128 + signal.SIGTERM)
+    assert shown.stderr == "vcal: interrupted; nothing was written\n"
+    assert not out.exists()
 
 
 def test_an_effect_is_shown_without_reading_all_bundled_studies(monkeypatch):

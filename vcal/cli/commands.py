@@ -103,6 +103,10 @@ def main() -> None:
         pass
     except SystemExit as stop:
         end = stop.code
+    except Exception:
+        # Where a compiled module is imported, `KeyboardInterrupt` becomes an `ImportError`.
+        if not interruption.received():
+            raise
     try:
         interruption.quiet()
     except KeyboardInterrupt:  # at the very end

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import typer
 
@@ -41,6 +41,8 @@ def guarded(command: Callable[..., Any]) -> Callable[..., Any]:
             _require_unicode(kwargs)
             command(*args, **kwargs)
         except StudyError as error:
+            if interruption.received():
+                _end_of_interrupted()
             tell(str(error))
             raise typer.Exit(MISTAKE) from None
         except OSError as error:
@@ -49,9 +51,10 @@ def guarded(command: Callable[..., Any]) -> Callable[..., Any]:
             tell(text)
             raise typer.Exit(MISTAKE) from None
         except KeyboardInterrupt:
-            interruption.tell_end(interruption.saved())
-            raise typer.Exit(interruption.code()) from None
+            _end_of_interrupted()
         except BaseException as error:
+            if interruption.received():
+                _end_of_interrupted()
             from ..study.plugins.trial import own_code_error
 
             # A user's own effect or instrument was called once on loading, which does not exclude
@@ -63,6 +66,14 @@ def guarded(command: Callable[..., Any]) -> Callable[..., Any]:
             raise typer.Exit(MISTAKE) from None
 
     return run
+
+
+def _end_of_interrupted() -> NoReturn:
+    """End a command that was interrupted, by whatever exception: where a compiled module is being
+    imported, `KeyboardInterrupt` becomes an `ImportError`.
+    """
+    interruption.tell_end(interruption.saved())
+    raise typer.Exit(interruption.code()) from None
 
 
 def _of_system(error: OSError) -> str | None:
