@@ -7,7 +7,8 @@ report or a new one, whole; no temporary file is left. At the end every command 
 
 A quarter of the processes are started as by a user. The others are forked off after the imports,
 which would take most of the time of a small study. Moments before the first line of vcal, while
-Python starts, and after the last one are not counted: the system ends the process then. Needs Linux.
+Python starts, and after the last one are not counted: the system ends the process then. Needs
+Linux.
 
     python benchmarks/signals.py --signals 200
 """
