@@ -26,19 +26,22 @@ COMMANDS = {
     "batch_gpu": "batch.py --host-draws 3 --draws 16384 --repeats 3 --campaigns",
     "dynamics_gpu": "dynamics.py --repeats 2",
     "power": "power.py --sets 20 --jobs 2 --minutes 60",
-    "power_fresh": "power.py --first-seed SEED --sets 4 --multiples 3 5",
-    "power_new": "power.py --first-seed 61000 --multiples 3 5",
+    "power_fresh": "power.py --own-machines --first-seed 200000 --sets 3 --multiples 3 5",
+    "power_new": "power.py --own-machines --first-seed 200000 --sets 3 --multiples 3 5",
     "smallest_sizes": "smallest_sizes.py --first-seed 43000 --sets 30",
     "several": "several.py --sets 20 --jobs 2 --minutes 60",
     "declared_sizes": "declared_sizes.py --first-seed 71000 --sets 50",
-    "large_sizes": "large_sizes.py --first-seed 71000 --sets 1",
-    "aliases": "aliases.py --first-seed 71000",
+    "large_sizes": "large_sizes.py --first-seed 200000 --sets 1",
+    "aliases": "aliases.py --first-seed 200000",
     "five_axes": "five_axes.py --sets 30 --jobs 2 --minutes 20",
     "within_u": "within_u.py --sets 90 --jobs 2",
     "within_u_new": "within_u.py --first-seed 31000 --sets 60",
     "practice": "practice.py --data ../shared/data",
     "speed": "speed.py --data ../shared/data",
     "uncertainty_peers": "uncertainty_peers.py --peers PYTHON",
+    "linuxcnc": "linuxcnc.py --first-seed 53000 --sets 3",
+    "fuzz": "fuzz.py --inputs 10000 --computed 200 --batch 250 --seed 10000",
+    "signals": "signals.py --signals 200 --seed 2",
 }
 """Commands of the results that are not those of the script of the same name without options."""
 POWER = (
@@ -111,21 +114,24 @@ def power(found: dict) -> str:
     return table("sets,right,wrong", rows)
 
 
-def power_made(found: dict) -> str:
-    """The rows of `power` for sets that were made, and those of another zero of temperature."""
-    s = found["summary"]
+def power_made(*founds: dict) -> str:
+    """The rows of `power` for sets that were made, and those of another zero of temperature; for
+    several campaigns side by side.
+    """
+    every = [found["summary"] for found in founds]
     shown = (
         *POWER,
         ("temperatures off by 5, 10 or -8 K (>= 95 %, <= 1 %)", "zero_right", "zero_wrong"),
     )
     rows = [
-        [label, *(_of(s[key]) if key else "" for key in keys)]
+        [label, *(_of(s[key]) if key else "" for s in every for key in keys)]
         for label, *keys in shown
-        if any(s[key][1] for key in keys if key)
+        if any(s[key][1] for s in every for key in keys if key)
         # Where every set has noise of its own, that row would repeat the first one.
-        and not (keys[0] == "own_right" and s["own_right"] == s["far_right"])
+        and not (keys[0] == "own_right" and all(s["own_right"] == s["far_right"] for s in every))
     ]
-    return table("sets,right,wrong", rows)
+    later = ",later instruments: right,wrong" if len(founds) > 1 else ""
+    return table(f"sets,right,wrong{later}", rows)
 
 
 def power_clean(found: dict) -> str:
@@ -310,6 +316,21 @@ def within_u(*founds: dict) -> str:
         rows.append([name, "1 of 1", n, f"{inside} of {n}", "", p, f"{r['distance']:.1f}"])
     head = "case,named,parameters,within U,sd of error / u,jointly beyond 95 %,largest chi2"
     return table(head, rows)
+
+
+def within_u_of_all(*founds: dict) -> str:
+    """The cases of simulated data together, and the range over them."""
+    cases = [case for found in founds for case in found["cases"]]
+    inside, of = (sum(c["within_U"][i] for c in cases) for i in (0, 1))
+    shares = [100 * c["within_U"][0] / c["within_U"][1] for c in cases]
+    spread = [c["sd_of_pulls"] for c in cases]
+    row = [
+        len(cases),
+        f"{inside:,} of {of:,}: {100 * inside / of:.1f} %",
+        f"{min(shares):.1f} to {max(shares):.1f} %",
+        f"{min(spread):.2f} to {max(spread):.2f}",
+    ]
+    return table("cases,within U,from case to case,sd of error / u", [row])
 
 
 def practice(found: dict) -> str:
@@ -559,13 +580,14 @@ TABLES: dict[str, tuple[Callable[..., str], tuple[str, ...]]] = {
         )
     },
     "smallest_size_of_all": (smallest_size_of_all, ("smallest_sizes",)),
-    "within_u": (within_u, ("within_u", "within_u_new")),
-    "power_fresh": (power_made, ("power_fresh",)),
-    "power_instruments_new": (power_made, ("power_new",)),
+    "within_u_of_all": (within_u_of_all, ("within_u", "within_u_new")),
+    "power_fresh": (power_made, ("power_fresh", "power_new")),
     "batch": (batch, ("batch", "batch_gpu")),
+    "faults": (faults, ("disk_full", "signals", "fuzz")),
 }
 """Function and result files of every table of the README."""
 LONG = {
+    "within_u": (within_u, ("within_u", "within_u_new")),
     "uncertainty_peers": (uncertainty_peers, ("uncertainty_peers",)),
     **{
         f.__name__: (f, ("power",))

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -16,7 +17,7 @@ import tables
 def test_readme_quotes_the_results():
     text = (records.HERE / "README.md").read_text(encoding="utf-8")
     assert tables.renewed(text) == text
-    wrong = text.replace("1234 of 1269", "1235 of 1269")
+    wrong = re.sub(r"\| (\d)(\d*) of \d", r"| 9\1\2 of 9", text, count=1)
     assert wrong != text and tables.renewed(wrong) == text
 
 
