@@ -780,6 +780,8 @@ def test_an_interruption_that_becomes_another_error(small_tracker_study, monkeyp
     shown = run("loop", small_tracker_study, "--out", out, code=128 + signal.SIGTERM)
     assert shown.stderr == "vcal: interrupted; nothing was written\n"
     assert not out.exists()
+    # A later command of the same process does not remember it.
+    assert "no such file" in refused("loop", "nowhere", "--out", out)
 
 
 def test_an_effect_is_shown_without_reading_all_bundled_studies(monkeypatch):

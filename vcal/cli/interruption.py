@@ -56,8 +56,8 @@ def received() -> bool:
 
 
 def begin() -> None:
-    """Forget what an earlier command of this process has kept and told."""
-    _STATE.save, _STATE.told = None, False
+    """Forget what an earlier command of this process has kept and told, and how it ended."""
+    _STATE.save, _STATE.told, _STATE.number = None, False, 0
 
 
 def keep(save: Callable[[], str] | None) -> None:
