@@ -16,7 +16,7 @@ from rich.text import Text
 from ..effects.base import Effect, Setup
 from ..effects.cyclic import ScrewCyclic
 from ..effects.reference import with_known_reference
-from ..instruments.base import remarks_of
+from ..instruments.base import averaged_of, remarks_of
 from ..instruments.conditions import file_name, inside_name
 from ..loop.outcome.closure import Closure, Errors
 from ..loop.residuals.confounded import confounding
@@ -196,6 +196,7 @@ def study_rows(study: Study) -> list[tuple[str, str]]:
         *_aliased(found, plan),
         *_identified(study),
         *_unseen(study),
+        *(("averaged", words) for words in averaged_of(study.instrument)),
         *(("compare", remark) for remark in remarks_of(study.instrument)),
     ]
     wanted: dict[str, list[str]] = {}

@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -16,6 +16,8 @@ from ..numerics.record import Record
 from ..numerics.rigid import Rotation, Scalar, Vector
 from ..registry import Catalogue
 from .marks import Mark
+
+Of = TypeVar("Of")
 
 
 class Column(BaseModel):
@@ -305,9 +307,24 @@ class Instrument(Record):
         return ()
 
     @property
+    def averaged(self) -> str:
+        """A sentence on samples that were averaged (`TableInstrument.summarised`); empty where all
+        are used.
+        """
+        return ""
+
+    @property
     def members(self) -> Mapping[str, "Instrument"]:
         """The instruments of several data sets by their names; empty for a single instrument."""
         return {}
+
+
+def averaged_of(instrument: Instrument) -> list[str]:
+    """What an instrument averages, or each of several with the name of its data set."""
+    found = [instrument.averaged] if instrument.averaged else []
+    for name, member in instrument.members.items():
+        found += [f"{name}: {member.averaged}"] if member.averaged else []
+    return found
 
 
 def remarks_of(instrument: Instrument) -> list[str]:
@@ -442,8 +459,27 @@ class TableInstrument(Instrument):
         that it omits are copied from the table of the plan.
         """
 
+    def summarised(self, plan: Plan, readings: np.ndarray) -> "Summary[Self] | None":
+        """Means in place of the samples of a long recording; None, the default: all rows are used.
+
+        It is called with the plan and the readings of the whole table, after both were checked.
+        """
+        del plan, readings
+        return None
+
     def dimensions(self, plan: Plan) -> np.ndarray:
         return np.full(plan.rows, self.dimension)
+
+
+class Summary(NamedTuple, Generic[Of]):
+    """Rows that are means of several samples."""
+
+    instrument: Of
+    """The instrument, which says what was averaged (`Instrument.averaged`)."""
+    plan: Plan
+    readings: np.ndarray
+    rows: np.ndarray
+    """First sample of every row."""
 
 
 INSTRUMENTS: Catalogue[type[TableInstrument]] = Catalogue("instrument", "kind")

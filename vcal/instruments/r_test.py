@@ -7,6 +7,7 @@ probes (external) is the error of the structure in between. Weikert, Knapp (2004
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import equinox as eqx
@@ -22,7 +23,8 @@ from ..machine.circles import Circle, fit_circle
 from ..machine.plan import Plan
 from ..machine.ports import group
 from ..numerics.rigid import Rotation, Scalar, Vector
-from .base import Column, Loader, Ports, TableInstrument, register
+from .base import Column, Loader, Ports, Summary, TableInstrument, register
+from .circle_averages import automatic, averages, samples_of, words_of
 from .conditions import linear_plan, linear_plan_table
 from .follow import check_moves
 from .marks import Mark
@@ -54,6 +56,15 @@ class RTestSettings(NestSettings):
     """Commanded radius of the circles."""
     internal_sigma_um: Uncertainty = 0.0
     """Noise of the axes' scales."""
+    averages_per_turn: (
+        Annotated[
+            int, Within(0, 100_000, "0 uses all samples; no more than 100,000 averages are of use")
+        ]
+        | None
+    ) = None
+    """Number of averages per turn in place of the samples of all turns of a run; 0: all samples.
+    Without the key, runs of more than 50,000 samples together are averaged to some 20,000 rows.
+    """
     acceleration: Literal["actual", "nominal"] = "actual"
     """Acceleration used by effects: that of the travelled circle, or the commanded one, r omega^2
     towards the centre of the circle (eqs. (5) and (6) of the publication).
@@ -83,6 +94,10 @@ class RTest(TableInstrument):
     readings, with their noise, is subtracted from both the internal and the external reading.
     Otherwise, a residual would correlate with a position merely because both contain the same
     noise.
+
+    A long recording is averaged by the angle of the circle (`vcal.instruments.circle_averages`). A
+    column ``samples`` says of how many samples a row is the mean: its noise is smaller by the root
+    of that number.
     """
 
     kind = "r_test"
@@ -105,6 +120,9 @@ class RTest(TableInstrument):
     nest: Nest
     offset: np.ndarray
     """From the axes' position to the nominal tool point, m."""
+    averages: int | None = eqx.field(static=True, default=None)
+    """`RTestSettings.averages_per_turn`."""
+    said: str = eqx.field(static=True, default="")
 
     @property
     def ports(self) -> tuple[str, ...]:
@@ -117,6 +135,10 @@ class RTest(TableInstrument):
     @property
     def readings(self) -> tuple[str, ...]:
         return self.nest.readings
+
+    @property
+    def averaged(self) -> str:
+        return self.said
 
     @classmethod
     def columns(cls, settings: RTestSettings, axes: Sequence[str], readings: bool) -> list[Column]:
@@ -141,6 +163,7 @@ class RTest(TableInstrument):
             nominal=settings.acceleration == "nominal",
             nest=Nest.of(settings),
             offset=np.asarray(chain.tool_offset, float),
+            averages=settings.averages_per_turn,
         )
 
     def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
@@ -148,6 +171,13 @@ class RTest(TableInstrument):
         for axis in chain.axes:
             own[f"{axis.lower()}_mm"] = own.pop(f"{axis.lower()}_int_mm")
         plan = linear_plan(chain, own, (*COORDINATES, *PROBES))
+        if (few := samples_of(plan) < 1.0).any():
+            row = int(np.argmax(few))
+            found = f"{samples_of(plan)[row]:g}"
+            raise RowError(
+                row, "column samples", found, "the number of samples of a mean, at least 1",
+                "correct it, or give the column another name",
+            )  # fmt: skip
         t, run = np.asarray(table["t_s"], float), np.asarray(plan.groups["run"])
         _refuse_copies(run, table)
         covariates = dict(plan.covariates) | {"t_run": t}
@@ -165,26 +195,70 @@ class RTest(TableInstrument):
                 _refuse_two(number, mine, column, values)
             circle = self._circle(number, mine, t[mine], read[mine], plane[mine], a_set, chain.axes)
             turning[number] = circle, str(table["plane"][mine[0]]).upper(), sense[0]
+            found, around[mine] = self._motion(
+                circle, t[mine], int(plane[mine[0]]), a_set, chain.axes
+            )
             position[mine] = circle.position(t[mine])
-            place = position[mine] - circle.centre
-            first, second = (chain.axes.index(axis) for axis in PLANES[plane[mine[0]]])
-            around[mine] = np.mod(np.arctan2(place[:, second], place[:, first]), 2.0 * np.pi)
-            values = circle.acceleration(t[mine])
-            if self.nominal:
-                far = np.linalg.norm(place, axis=1, keepdims=True)
-                values = -a_set[:, None] * place / far
-            found = {
-                "a": values,
-                "v": circle.velocity(t[mine]),
-                "dir": circle.direction(t[mine]),
-                "since": circle.since_reversal(t[mine]),
-            }
-            for kind, columns in found.items():
-                for i, axis in enumerate(chain.axes):
-                    derived[f"{kind}_{axis}"][mine] = columns[:, i]
+            for name, values in found.items():
+                derived[name][mine] = values
         _refuse_senses(run, turning, chain.axes)
         covariates |= derived | {"circle_angle": around}
         return Plan(plan.axes, position, covariates, dict(plan.groups) | {"plane": plane})
+
+    def _motion(
+        self, circle: Circle, t: np.ndarray, plane: int, a_set: np.ndarray, axes: Sequence[str]
+    ) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Acceleration, velocity, direction and distance since the last reversal of every axis on a
+        circle at the times `t` (n,), by the names of their covariates; the angle of the circle.
+        """
+        place = circle.position(t) - circle.centre
+        first, second = (axes.index(axis) for axis in PLANES[plane])
+        around = np.mod(np.arctan2(place[:, second], place[:, first]), 2.0 * np.pi)
+        values = circle.acceleration(t)
+        if self.nominal:
+            values = -a_set[:, None] * place / np.linalg.norm(place, axis=1, keepdims=True)
+        kinds = {
+            "a": values,
+            "v": circle.velocity(t),
+            "dir": circle.direction(t),
+            "since": circle.since_reversal(t),
+        }
+        found = {
+            f"{kind}_{axis}": columns[:, i]
+            for kind, columns in kinds.items()
+            for i, axis in enumerate(axes)
+        }
+        return found, around
+
+    def summarised(self, plan: Plan, readings: np.ndarray) -> Summary[Self] | None:
+        run = np.asarray(plan.groups["run"])
+        angles = self.averages
+        if angles is None:
+            angles = automatic(plan.rows, len(np.unique(run)))
+        if not angles:
+            return None
+        circles, t = self.circles(plan), np.asarray(plan.covariate("t_run"))
+        means = averages(t, run, circles, angles, samples_of(plan))
+        at = np.asarray(plan.position)
+        new = np.concatenate([circles[k].position(means.time[means.run == k]) for k in circles])
+        # Only the deviation from the circle is averaged: the mean of an arc lies inside it.
+        beside = means.of(readings - self.nest.along(at)) + self.nest.along(new)
+        covariates = {name: means.of(np.asarray(v)) for name, v in plan.covariates.items()}
+        covariates |= {name: means.time for name in ("t", "t_run") if name in covariates}
+        covariates["samples"] = means.samples
+        groups = {name: np.asarray(v)[means.rows] for name, v in plan.groups.items()}
+        for k, circle in circles.items():
+            mine = means.run == k
+            found, around = self._motion(
+                circle, means.time[mine], int(groups["plane"][mine][0]),
+                covariates["a_set_m_s2"][mine], plan.axes,
+            )  # fmt: skip
+            for name, values in {**found, "circle_angle": around}.items():
+                covariates[name][mine] = values
+        numbers = np.arange(1, plan.rows + 1) if plan.numbers is None else np.asarray(plan.numbers)
+        averaged = Plan(plan.axes, new, covariates, groups, plan.sets, numbers[means.rows])
+        words = words_of(plan.rows, means, angles, self.radius)
+        return Summary(replace(self, said=words), averaged, beside, means.rows)
 
     def check_coordinates(self) -> None:
         """Raise `ValueError` where the readings are those of the single probes."""
@@ -233,7 +307,7 @@ class RTest(TableInstrument):
         return self.nest.read(tool - Vector.of(row) + Vector.of(ports["sphere"]))
 
     def noise(self, plan: Plan, readings: np.ndarray) -> np.ndarray:
-        return np.full((plan.rows, 3), self.sigma)
+        return np.repeat(self.sigma / np.sqrt(samples_of(plan))[:, None], 3, axis=1)
 
     def lengths(self, plan: Plan, readings: np.ndarray) -> np.ndarray:
         return np.ones((plan.rows, 3))

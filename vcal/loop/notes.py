@@ -12,7 +12,7 @@ from ..effects.base import Effect
 from ..identification.fit import POORLY_DETERMINED, Fit
 from ..identification.identify import identify
 from ..identification.predictable import unpredictable_of
-from ..instruments.base import remarks_of
+from ..instruments.base import averaged_of, remarks_of
 from ..instruments.conditions import file_column
 from ..machine.plan import Plan
 from ..model.declared_noise import declared_whitener
@@ -463,8 +463,11 @@ def _confounding(facts: Facts) -> list[str]:
 
 
 def _remarks(facts: Facts) -> list[str]:
-    """Notes on settings of the instruments that the readings contradict."""
-    return remarks_of(facts.after.model.instrument)
+    """Notes on samples that were averaged, and on settings of the instruments that the readings
+    contradict.
+    """
+    instrument = facts.after.model.instrument
+    return [*averaged_of(instrument), *remarks_of(instrument)]
 
 
 def _no_machine(facts: Facts) -> list[str]:

@@ -56,6 +56,8 @@ class Table(dict[str, np.ndarray]):
         """Columns of readings, in which cells may be blank."""
         self.blank = np.zeros(len(self.lines), bool)
         """Rows with a blank reading; the cell holds the value of a neighbouring row."""
+        self.left_out: tuple[int, ...] = ()
+        """Numbers of rows with a blank reading that it has no more."""
         self.kind = ""
         """What the file is and how it was read, in words."""
         self.assigned: tuple[Assigned, ...] = ()
@@ -88,17 +90,23 @@ class Table(dict[str, np.ndarray]):
         """The rows without a blank reading."""
         if not self.blank.any():
             return self
-        rows = np.flatnonzero(~self.blank)
+        return self.taken(np.flatnonzero(~self.blank))
+
+    def taken(self, rows: np.ndarray) -> "Table":
+        """Some rows, which keep their numbers."""
         lines, numbers = ([of[row] for row in rows.tolist()] for of in (self.lines, self.numbers))
         found = Table(self.name, lines, numbers, tuple(self.read))
-        found.kind, found.assigned = self.kind, self.assigned
+        found.kind, found.assigned, found.left_out = self.kind, self.assigned, self.left_out
+        found.blank = self.blank[rows]
         found.update({name: values[rows] for name, values in self.items()})
         return found
 
     @property
     def blank_rows(self) -> tuple[int, ...]:
         """Numbers of the rows with a blank reading."""
-        return tuple(self.numbers[row] for row in np.flatnonzero(self.blank).tolist())
+        return self.left_out + tuple(
+            self.numbers[row] for row in np.flatnonzero(self.blank).tolist()
+        )
 
     def where(self, row: int) -> str:
         """Number and line in the file of a row, which counts from 0."""

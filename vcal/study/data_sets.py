@@ -55,7 +55,9 @@ class DataSet:
     readings: np.ndarray | None
     """Readings (n, m), SI; None for a table without columns of readings."""
     table: Table
-    """The whole table, including the rows with a blank reading, which the plan leaves out."""
+    """The whole table, including the rows with a blank reading, which the plan leaves out; of a
+    recording that is averaged, its averages with the numbers of their first samples.
+    """
     tool: str = ""
     """Name of the tool that it shares with other data sets; empty for one of its own."""
     declared: TableInstrument | None = None
@@ -186,12 +188,17 @@ def _data_set(
     table, measured = run_table(table_name, settings, chain, folder, file, key)
     try:
         with _naming_rows(settings, folder, table.complete):
-            declared, instrument, plan, readings = _instrument(
+            declared, instrument, plan, readings, rows = _instrument(
                 settings, chain, table, measured, folder
             )
     except KeyedError as error:
         own = key if error.key.startswith("instrument.") else ""
         raise stated(file, f"key {own}{error.key}", error.what) from error
+    if rows is not None:
+        blank, table = table.blank_rows, table.complete.taken(rows)
+        table.left_out = blank
+        made = instrument.to_table(plan, np.asarray(readings))
+        table.update({column: made[column] for column in table if column in made})
     return DataSet(
         name, table_name, settings, instrument, chain, plan, readings, table, declared=declared
     )
@@ -211,9 +218,10 @@ def _naming_rows(settings: InstrumentSettings, folder: Folder, table: Table) -> 
 
 def _instrument(
     settings: InstrumentSettings, chain: Chain, whole: Table, measured: bool, folder: Folder
-) -> tuple[TableInstrument, TableInstrument, Plan, np.ndarray | None]:
+) -> tuple[TableInstrument, TableInstrument, Plan, np.ndarray | None, np.ndarray | None]:
     """The instrument of a table as declared, and with starting values from its readings; the plan
-    and the readings of the rows without a blank reading.
+    and the readings of the rows without a blank reading. Where these are means of several rows,
+    also the first of each; otherwise None.
     """
     kind, table = instrument_class(settings, folder), whole.complete
     if measured:
@@ -235,21 +243,29 @@ def _instrument(
         plan = _planned(settings, instrument, chain, table)
     if table is not whole:
         plan = replace(plan, numbers=np.array(table.numbers))
-    declared, readings = instrument, None
+    declared, readings, rows, used = instrument, None, None, plan
     if measured:
         with calling(settings, kind, "measured", "readings in SI from the columns of the table"):
             readings = instrument.measured(table)
         check_readings(settings, instrument, plan, readings)
+        with calling(settings, kind, "summarised", "a Summary, or None"):
+            summary = instrument.summarised(plan, readings)
+        if summary is not None:
+            declared = instrument = summary.instrument
+            used, rows = summary.plan, summary.rows
+            named = readings_of(settings, kind, chain.axes)
+            check_scatter(table, named, instrument, plan, readings)
+            readings = summary.readings
         with calling(settings, kind, "start", "the same instrument"):
-            instrument = instrument.start(chain, plan, readings)
+            instrument = instrument.start(chain, used, readings)
         check_built(settings, kind, instrument, "start")
     if settings.kind_file is not None:
         # The trial needs a plan of the complete rows only.
         alone = _planned(settings, instrument, chain, table)
         check_instrument(settings, instrument, chain, table, alone, readings)
-    if readings is not None:
+    if readings is not None and rows is None:
         check_scatter(table, readings_of(settings, kind, chain.axes), instrument, plan, readings)
-    return declared, instrument, plan, readings
+    return declared, instrument, used, readings, rows
 
 
 def _planned(

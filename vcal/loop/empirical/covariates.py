@@ -3,6 +3,7 @@
 import numpy as np
 
 from ...effects.clock import CLOCKS
+from ...instruments.circle_averages import SAMPLES
 from ...instruments.conditions import file_column
 from ...instruments.recorded import response_column
 from ...machine.plan import Plan, of_set
@@ -20,8 +21,8 @@ gaps."""
 
 def distinct_covariates(plan: Plan) -> dict[str, np.ndarray]:
     """Axes, covariates and groups by their internal names, (n,) each; of columns that are identical
-    but for scale and offset only the first. Recorded responses (`vcal.instruments.recorded`) are no
-    causes, and are left out.
+    but for scale and offset only the first. Recorded responses (`vcal.instruments.recorded`) and
+    numbers of samples are no causes, and are left out.
 
     Quantities that only one data set has are nan in the rows of the others. The axes are given for
     all rows together and for each data set.
@@ -32,7 +33,7 @@ def distinct_covariates(plan: Plan) -> dict[str, np.ndarray]:
     distinct: dict[str, np.ndarray] = {}
     directions: list[tuple[np.ndarray, np.ndarray]] = []
     for name in names:
-        if response_column(name) is not None:
+        if response_column(name) is not None or name.rpartition(":")[2] == SAMPLES:
             continue
         x = plan.values(name)
         there = np.isfinite(x)
