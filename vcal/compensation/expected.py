@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from ..numerics.eigen import eigh
 from ..numerics.spatial import rigid_basis
 from .base import Tables
 from .machine import IdentifiedMachine
@@ -139,5 +140,5 @@ def _root(covariance: np.ndarray) -> np.ndarray:
 
     It is continuous in C, so that a machine that was stored has the same draws.
     """
-    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    values, vectors = eigh(0.5 * (covariance + covariance.T))
     return (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T

@@ -18,6 +18,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from threadpoolctl import threadpool_limits
 
+from ..numerics.eigen import eigh
+
 _SURE = 1e12
 """Condition number above which a parameter counts as undetermined."""
 
@@ -192,7 +194,7 @@ def _in_units(F: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 def _factors(F: np.ndarray) -> np.ndarray:
     """V (n, k, r) with V V' = F, r the largest rank."""
-    sizes, ways = np.linalg.eigh(F)
+    sizes, ways = eigh(F)
     kept = sizes > _FACTOR * sizes[:, -1:]
     rank = max(int(kept.sum(1).max()), 1)
     root = np.sqrt(np.where(kept, sizes, 0.0))[:, -rank:]

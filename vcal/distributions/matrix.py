@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from ..numerics.eigen import eigh
+
 # Tolerance, due to rounding, of the symmetry and of a zero eigenvalue of a computed matrix.
 _ROUNDING = 1e-10
 # Eigenvalues of a correlation matrix per row, below which they are zero.
@@ -75,7 +77,7 @@ def square_root(covariance: Float[np.ndarray, "d d"]) -> Float[np.ndarray, "d d"
     """
     std = np.sqrt(np.diag(covariance))
     scale = np.where(std > 0.0, std, 1.0)
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    values, vectors = eigh(covariance / np.outer(scale, scale))
     # The root of a rounding error is eight digits larger: a singular matrix must stay singular.
     values = np.where(values > _SINGULAR * len(values), values, 0.0)
     return std[:, None] * ((vectors * np.sqrt(values)) @ vectors.T)

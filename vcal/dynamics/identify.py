@@ -21,6 +21,7 @@ from jaxtyping import Complex, Float
 
 from ..numerics.arrays import Array
 from ..numerics.compiled import filter_jit_outermost
+from ..numerics.eigen import eigh
 from ..numerics.least_squares import Status
 from ..numerics.trust_region import Found, within_prior
 from .bodies import Machine
@@ -84,7 +85,7 @@ class Identified:
 
     def not_told(self) -> list[str]:
         """Combinations of unknowns about which the circles contain little information, in words."""
-        sizes, ways = np.linalg.eigh(self.covariance)
+        sizes, ways = eigh(self.covariance)
         found = []
         for size, way in zip(sizes[::-1], ways.T[::-1], strict=True):
             if size < _MIXED:

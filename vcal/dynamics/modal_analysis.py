@@ -6,6 +6,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Float
 
+from ..numerics.eigen import eigh
 from .structure import Structure
 
 _RIGID = 1e-6
@@ -53,7 +54,7 @@ def check_supported(structure: Structure, names: list[str]) -> None:
     lent = np.trace(K) / len(K)
     K = K + lent * B @ B.T
     root = 1.0 / np.sqrt(np.diag(M))
-    squares, shapes = np.linalg.eigh(root[:, None] * K * root)
+    squares, shapes = eigh(root[:, None] * K * root)
     if squares[0] > _HELD * squares[-1]:
         return
     shape = (root * shapes[:, 0])[: 6 * len(names)].reshape(-1, 6)

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from ..machine.parameters import Parameter
 from ..machine.plan import Plan
 from ..numerics.arrays import Array
+from ..numerics.eigen import eigh
 from .base import Effect, Response
 from .geometric import ErrorMotion, GeometricErrors
 
@@ -45,7 +46,7 @@ class PreviousGeometry(Effect):
     ) -> Self:
         """From expectation and covariance of the parameters of `errors`, in their units."""
         sigma = np.sqrt(np.diag(covariance))
-        values, vectors = np.linalg.eigh(covariance / np.outer(sigma, sigma))
+        values, vectors = eigh(covariance / np.outer(sigma, sigma))
         values = np.maximum(values, _LEAST * values[-1])
         root = sigma[:, None] * vectors * np.sqrt(values)
         start = vectors.T @ (mean / sigma) / np.sqrt(values)

@@ -12,6 +12,7 @@ from ..identification.fit import Fit
 from ..instruments.double_ball_bar import BarCentre, BarLength, DoubleBallBar, SetupLength
 from ..machine.circles import circle_through
 from ..machine.plan import Plan
+from ..numerics.eigen import eigh
 from .circular_deviations import (
     CircularDeviations,
     circular_deviations,
@@ -209,7 +210,7 @@ def _of_machine(
     predicted = (np.asarray(fit.measurement.readings) - fit.residual)[rows, 0]
     mean = predicted - jacobian[:, bar] @ fit.theta[bar]
     covariance = fit.covariance[np.ix_(~bar, ~bar)]
-    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    values, vectors = eigh(0.5 * (covariance + covariance.T))
     root = vectors * np.sqrt(np.clip(values, 0.0, None))
     return mean, jacobian[:, ~bar] @ root
 

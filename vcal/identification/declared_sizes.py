@@ -19,6 +19,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from ..machine.parameters import Parameter
+from ..numerics.eigen import eigh
 from .fit import Fit
 
 _DETERMINED = 0.5
@@ -79,7 +80,7 @@ def declared_sizes(fit: Fit, places: Sequence[int], noise: float = 1.0) -> Decla
     if not len(tested):
         return DeclaredSizes(0.0, 0, 1.0, ())
     theta, inverse = fit.theta[tested], fit.planned_covariance[np.ix_(tested, tested)]
-    shares, directions = np.linalg.eigh(np.eye(len(tested)) - inverse)
+    shares, directions = eigh(np.eye(len(tested)) - inverse)
     kept = shares > _DETERMINED
     share = np.minimum(shares[kept], 1.0 - 1e-15)
     data = share / (1.0 - share)

@@ -15,6 +15,7 @@ from ..machine.parameters import Parameter
 from ..model.declared_noise import declared_whitener
 from ..model.forward import Model, Shapes
 from ..model.measurement import Measurement
+from ..numerics.eigen import eigh
 from ..numerics.least_squares import Status
 from ..words import counted
 from .labelled_fit import fit_dataset, fit_frame
@@ -217,7 +218,7 @@ class Fit:
         n, m = self.residual.shape
         jacobian, whitened = self.jacobian.reshape(n, m, -1), self.whitened.reshape(n, m)
         mine, left = jacobian[shared], whitened[shared]
-        values, vectors = np.linalg.eigh(np.eye(m) - mine @ inverse @ mine.transpose(0, 2, 1))
+        values, vectors = eigh(np.eye(m) - mine @ inverse @ mine.transpose(0, 2, 1))
         turned = np.einsum("nij,ni->nj", vectors, left) / np.sqrt(np.maximum(values, _LEFT))
         left = np.einsum("nij,nj->ni", vectors, turned)
         scores = np.einsum("nik,ni->nk", mine, left)

@@ -13,11 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.linalg import solve_triangular
 
 from ..machine.plan import Plan
 from ..model.declared_noise import declared_whitener
 from ..model.forward import Model
 from ..model.measurement import Measurement
+from ..numerics.eigen import eigh
 from .fit import Fit
 from .linearised import linearised_terms
 from .posterior import open_shapes
@@ -33,6 +35,8 @@ _SMALLEST = 1e-14
 """Least eigenvalue of the scaled information that is taken to differ from zero."""
 _PART = 0.25
 """Component, relative to the largest, from which a parameter belongs to an open direction."""
+_MANY = 50
+"""Number of parameters from which their elimination takes less time than it saves."""
 _MOST = 4
 """Largest number of parameters that are named."""
 
@@ -81,12 +85,14 @@ def unpredictable(
     held: list[np.ndarray] = []
     blame = np.zeros(len(precision))
     fitted = kept & ~apart
+    seen = jacobian[fitted].reshape(-1, len(precision))
+    total = seen.T @ seen
     for fold in (-1, *np.unique(folds[fitted & (folds >= 0)])):
         rows = np.flatnonzero(apart & kept if fold < 0 else fitted & (folds == fold))
         rest = fitted & ~(folds == fold) if fold >= 0 else fitted
         if not len(rows):
             continue
-        size, part = _uncertainty(jacobian[rows], jacobian[rest], precision, fold >= 0)
+        size, part = _uncertainty(jacobian[rows], jacobian[rest], precision, fold >= 0, total)
         held.append(rows)
         found.append(size)
         if (far := size > FAR).any():
@@ -125,23 +131,55 @@ def own_parameters(
         diagonal = np.diag(total)[flat]
         scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
         rest = total[block] - inside[:, flat].T @ inside[:, flat]
-        values, vectors = np.linalg.eigh(rest * scale[:, None] * scale)
+        values, vectors = eigh(rest * scale[:, None] * scale)
         basis[block] = scale[:, None] * vectors
         own[flat] = values <= 1e-9
     return basis, own
 
 
-def _uncertainty(inside: np.ndarray, rest: np.ndarray, precision: np.ndarray, fresh: bool):
+def independent_of(
+    inside: Float[np.ndarray, "r k"],
+    total: Float[np.ndarray, "k k"],
+    precision: Float[np.ndarray, " k"],
+) -> tuple[Bool[np.ndarray, " k"], np.ndarray | float]:
+    """Elimination of the parameters with a flat prior on which some rows do not depend, such as the
+    other poses of an artefact: the parameters that remain (k,), and what the elimination takes from
+    the information about them, H_ru H_uu^-1 H_ur.
+
+    `inside` (r, k) is the Jacobian of the rows and `total` (k, k) the information of all readings.
+    Few parameters remain where they are.
+    """
+    away = (precision == 0) & ~inside.any(axis=0)
+    every = np.ones(len(precision), bool), 0.0
+    diagonal = np.diag(total)[away]
+    if len(diagonal) < _MANY or not (diagonal > 0.0).all():
+        return every
+    scale = 1.0 / np.sqrt(diagonal)
+    try:
+        lower = np.linalg.cholesky(total[np.ix_(away, away)] * scale[:, None] * scale)
+    except np.linalg.LinAlgError:
+        return every
+    half = solve_triangular(lower, scale[:, None] * total[np.ix_(away, ~away)], lower=True)
+    return ~away, half.T @ half
+
+
+def _uncertainty(
+    inside: np.ndarray, rest: np.ndarray, precision: np.ndarray, fresh: bool, total: np.ndarray
+):
     """Uncertainty (r,) of the predictions of rows (r, m, k) from the `rest` by the parameters, rms
     over their readings, and a function that gives the share (k,) of every parameter in the
     direction that makes up most of it for some of these rows.
 
     With `fresh`, parameters with a flat prior that only the rows themselves determine, such as the
-    pose of an artefact, are re-estimated from them.
+    pose of an artefact, are re-estimated from them; `total` (k, k) is then the information of the
+    rows and the `rest`.
     """
-    r, m, k = inside.shape
-    rows, rest = inside.reshape(-1, k), rest.reshape(-1, k)
-    information = rest.T @ rest
+    r, m, size = inside.shape
+    rows, rest, remain, taken = inside.reshape(-1, size), rest.reshape(-1, size), ..., 0.0
+    if fresh:
+        remain, taken = independent_of(rows, total, precision)
+    rows, rest, precision = rows[:, remain], rest[:, remain], precision[remain]
+    information, k = rest.T @ rest - taken, rows.shape[1]
     basis, own = np.eye(k), np.zeros(k, bool)
     if fresh:
         basis, own = own_parameters(rows, information + rows.T @ rows, precision)
@@ -150,7 +188,7 @@ def _uncertainty(inside: np.ndarray, rest: np.ndarray, precision: np.ndarray, fr
     common = np.flatnonzero(~own)
     diagonal = np.diag(information)[common]
     scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
-    values, vectors = np.linalg.eigh(information[np.ix_(common, common)] * scale[:, None] * scale)
+    values, vectors = eigh(information[np.ix_(common, common)] * scale[:, None] * scale)
     directions = scale[:, None] * vectors
     moved = rows[:, common] @ directions
     if own.any():
@@ -161,8 +199,9 @@ def _uncertainty(inside: np.ndarray, rest: np.ndarray, precision: np.ndarray, fr
     def part(far: np.ndarray) -> np.ndarray:
         worst = int(by_direction[far].sum(0).argmax())
         # In units of what each parameter moves in the held-out rows.
-        along = np.abs(basis[:, common] @ directions[:, worst])
-        return along * np.sqrt((inside[far].reshape(-1, k) ** 2).sum(0))
+        along = np.zeros(size)
+        along[remain] = np.abs(basis[:, common] @ directions[:, worst])
+        return along * np.sqrt((inside[far].reshape(-1, size) ** 2).sum(0))
 
     return np.sqrt(by_direction.sum(1)), part
 

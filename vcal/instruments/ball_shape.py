@@ -10,6 +10,7 @@ from ..effects.base import Effect, Response
 from ..machine.parameters import Parameter
 from ..machine.plan import Plan
 from ..numerics.arrays import Array
+from ..numerics.eigen import eigh
 from ..numerics.spatial import rigid_columns
 
 
@@ -43,7 +44,7 @@ class BallShape(Effect):
         rigid = rigid_columns(balls - balls.mean(0)).reshape(-1, 6)
         u, sizes, _ = np.linalg.svd(rigid, full_matrices=True)
         shapes = u[:, int((sizes > 1e-9 * sizes[0]).sum()) :]
-        values, vectors = np.linalg.eigh(shapes.T @ np.asarray(precision) @ shapes)
+        values, vectors = eigh(shapes.T @ np.asarray(precision) @ shapes)
         sigma = 1.0 / np.sqrt(np.maximum(values, loosest_m**-2))
         columns = shapes @ vectors * sigma
         return cls(columns=columns.reshape(len(balls), 3, -1), poses=poses)

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from ..errors import RowError
+from ..numerics.eigen import eigh
 from .base import Column
 
 Convention = Literal["quaternion", "euler_xyz", "euler_zyx", "euler_zyz"]
@@ -112,7 +113,7 @@ def between_frames(
     for a, b in zip(seen, nominal, strict=True):
         rows = np.hstack([np.kron(eye, a.T), -np.kron(b, eye)])
         normal += rows.T @ rows
-    vector = np.linalg.eigh(normal)[1][:, 0]
+    vector = eigh(normal)[1][:, 0]
     first = vector[:9].reshape(3, 3)
     s = _nearest(first * (np.sign(np.linalg.det(first)) or 1.0))
     t = eye

@@ -17,6 +17,7 @@ from ..machine.parameters import Parameter
 from ..machine.plan import Plan
 from ..machine.ports import group
 from ..numerics.arrays import Array, known
+from ..numerics.eigen import eigh
 from ..numerics.rigid import ORIGIN, Rotation, Scalar, Vector, exp
 from .arm_follow import check_arm_follows
 from .arm_table import arm_columns, arm_plan, arm_table
@@ -292,7 +293,7 @@ class PoseProbe(TableInstrument):
 
     def effects(self, plan: Plan) -> tuple[Effect, ...]:
         found = (Station(), ProbeFrame())
-        size, vectors = np.linalg.eigh(self.correlation)
+        size, vectors = eigh(self.correlation)
         rest = size - size[0]
         kept = rest > 1e-9
         if not kept.any():

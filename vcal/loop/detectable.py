@@ -26,6 +26,7 @@ from ..effects.base import Effect
 from ..effects.reference import with_known_reference
 from ..identification.fit import Fit
 from ..machine.parameters import Parameter
+from ..numerics.eigen import eigh
 from .screening.candidates import candidates
 from .screening.score_test import ScoreTest, Tested
 from .screening.screening import Screening
@@ -180,7 +181,7 @@ class _Steps:
         for at, (i, member) in enumerate(zip(self._at, self._member, strict=True)):
             information, c = tested[member].drops.information[i], amplitudes[member]
             root = _root(information)
-            values, vectors = np.linalg.eigh(information)
+            values, vectors = eigh(information)
             self.roots[at, :c, : root.shape[1]] = root
             eigenvalues[at, :c], self._vectors[at, :c, :c] = np.maximum(values, 0.0), vectors
             self.places[at, :c] = np.arange(first, first + c)
@@ -423,6 +424,6 @@ def _shape(one: Tested, step: int) -> dict[str, float]:
 def _root(information: np.ndarray) -> np.ndarray:
     scale = np.sqrt(np.maximum(np.diag(information), 0.0))
     scale = np.where(scale > 0.0, scale, 1.0)
-    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    values, vectors = eigh(information / np.outer(scale, scale))
     kept = values > _RESOLVED * max(float(values[-1]), 1e-300)
     return vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]

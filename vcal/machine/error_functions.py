@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 from ..distributions import Uniform, Univariate
 from ..numerics.arrays import Array, namespace
+from ..numerics.eigen import eigh
 from ..numerics.record import Record
 
 
@@ -111,7 +112,7 @@ class Matern(Basis):
         self.length = smoothness * (2.0 if around else high - low)
         self.nodes = np.linspace(low, high, 200, endpoint=not around)
         kernel = self._kernel(self.nodes)
-        values, vectors = np.linalg.eigh(kernel)
+        values, vectors = eigh(kernel)
         values, vectors = values[::-1], vectors[:, ::-1]
         kept = int(np.searchsorted(np.cumsum(values) / values.sum(), 0.99999)) + 1
         # Scaled so that every coefficient has the declared sigma, with functions of unit variance.

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from ..numerics.eigen import eigh
 from .budget import Budget
 from .regions import Ellipsoid, normal_ellipsoid
 
@@ -106,7 +107,7 @@ def _scaled(parts: list[np.ndarray], labels: tuple[str, ...]) -> list[np.ndarray
     """V^-1/2 V_g V^-1/2 for all, the first of which is V."""
     total = parts[0]
     u = np.sqrt(np.diag(total))
-    size, axes = np.linalg.eigh(total / np.outer(*(2 * [np.where(u > 0.0, u, 1.0)])))
+    size, axes = eigh(total / np.outer(*(2 * [np.where(u > 0.0, u, 1.0)])))
     if size[0] <= 1e-12 * size[-1]:
         raise ValueError(
             f"outputs: {', '.join(labels)} depend on each other or do not vary, and have no "

@@ -35,6 +35,7 @@ from ..machine.plan import Plan
 from ..model.forward import Model, Shapes
 from ..model.simulate import Simulator, draw_scatter
 from ..numerics.arrays import Array
+from ..numerics.eigen import eigh
 from ..numerics.normal_draws import standard_normal
 from .campaign import PairEvaluate, virtual_pair
 from .ensemble import Ensemble
@@ -86,7 +87,7 @@ class LinearDraws(eqx.Module):
         """The linearisation at the nominal machine."""
         parts = linear_parts(pair)
         covariance = parts.by_noise @ parts.by_noise.T + parts.by_scatter @ parts.by_scatter.T
-        values, vectors = np.linalg.eigh(covariance)
+        values, vectors = eigh(covariance)
         kept = values > 1e-14 * values.max(initial=0.0)
         root = vectors[:, kept] * np.sqrt(values[kept])
         return cls(*(jnp.asarray(part) for part in (*parts, root)))

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from ..distributions import Inputs, Univariate
 from ..numerics.arrays import Array
 from ..numerics.differences import Batch, First, Second, first_differences, second_differences
+from ..numerics.eigen import eigh
 from ..numerics.spatial import require_float64
 from .budget import Budget, Source
 from .cautions import departure_notes
@@ -262,9 +263,7 @@ def _root(source: Source) -> tuple[Float[np.ndarray, "k r"], tuple[int, ...]]:
             alone.append(members[0] if len(group) == 1 else -1)
             continue
         scale = u[members]
-        size, axes = np.linalg.eigh(
-            source.covariance[np.ix_(members, members)] / np.outer(scale, scale)
-        )
+        size, axes = eigh(source.covariance[np.ix_(members, members)] / np.outer(scale, scale))
         kept = size > _RANK * len(members)
         block = np.zeros((len(u), int(kept.sum())))
         block[members] = scale[:, None] * axes[:, kept] * np.sqrt(size[kept])

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import fdtri, gamma, gammaincinv, ndtri, stdtrit
 
+from ..numerics.eigen import eigh
 from .ensemble import Ensemble
 from .intervals import check_coverage
 
@@ -35,7 +36,7 @@ class Ellipsoid:
 
         They are meaningful for outputs that share a unit.
         """
-        squares, directions = np.linalg.eigh(self.covariance)
+        squares, directions = eigh(self.covariance)
         return self.factor * np.sqrt(squares[::-1]), directions[:, ::-1]
 
     @property

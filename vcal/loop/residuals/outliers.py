@@ -10,6 +10,7 @@ from scipy.special import gammainccinv
 from ...identification.fit import Fit, normalised_residuals
 from ...machine.plan import DATA_SET, Plan
 from ...model.declared_noise import declared_whitener
+from ...numerics.eigen import eigh
 from ..empirical.covariates import distinct_covariates
 from ..screening.significance import LEAST_NOISE, minus_log_chi2_tail
 from .dependence import bins
@@ -185,7 +186,7 @@ def _outstanding(fit: Fit, weights: np.ndarray) -> list[Outlier]:
         rows = np.flatnonzero(fit.used & inside)
         if not len(rows):
             continue
-        values, vectors = np.linalg.eigh(own[rows])
+        values, vectors = eigh(own[rows])
         along = np.einsum("nij,ni->nj", vectors, whitened[rows])
         free = values > _FREE
         distance = np.where(free, along**2 / np.where(free, values, 1.0), 0.0).sum(1)

@@ -18,6 +18,7 @@ from scipy.ndimage import maximum_filter
 
 from ...effects.base import Effect
 from ...identification.fit import Fit
+from ...numerics.eigen import eigh
 from .responses import Response, Responses, Scan, filled
 from .significance import SILENT, minus_log_beta_tail
 from .size_evidence import log_mixture, size_allowance, size_surplus
@@ -368,7 +369,7 @@ class ScoreTest:
         seen = (whole > least) & (left > 1e-8 * whole)
         scale = np.where(seen, np.sqrt(np.maximum(left, 0.0)), 1.0)
         scaled = g / scale[:, :, None] / scale[:, None, :]
-        values, vectors = np.linalg.eigh(scaled * seen[:, :, None] * seen[:, None, :])
+        values, vectors = eigh(scaled * seen[:, :, None] * seen[:, None, :])
         # Information along each direction, in units of that of the prior.
         along = values / np.square(vectors / scale[:, :, None]).sum(1)
         kept = (values > _RESOLVED) & (along > _UNSEEN)
@@ -411,7 +412,7 @@ class ScoreTest:
         every = np.repeat(noise, sizes)
         g = np.concatenate([drops.information for drops in of]) / every[:, None, None]
         s = np.concatenate([drops.scores for drops in of]) / every[:, None]
-        values, vectors = np.linalg.eigh(g)
+        values, vectors = eigh(g)
         model = np.maximum(values, 0.0), np.einsum("gab,ga->gb", vectors, s)
         ends = np.cumsum(sizes)[:-1]
         # Whatever its size, a candidate gains half its drop at most. One that the model nearly

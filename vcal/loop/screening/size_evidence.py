@@ -20,6 +20,7 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 from ...identification.fit import Fit
+from ...numerics.eigen import eigh
 
 _OCTAVES = np.arange(-10.0, 17.0)
 """Base-two logarithms of the factors: from a thousandth to 65,000."""
@@ -144,7 +145,7 @@ def _seen(
     left = _eliminated(whitened[:, others], prior[others], own) if len(others) else own
     within = np.diag(prior[mine])
     precision = left.T @ left + within
-    values, vectors = np.linalg.eigh(precision - np.diag(fit.precision[mine]))
+    values, vectors = eigh(precision - np.diag(fit.precision[mine]))
     # What the other parameters leave of a direction may be rounding, which a wide prior would
     # multiply.
     whole = ((own @ vectors) ** 2).sum(0)

@@ -10,10 +10,11 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from ...geometry.compensated import compensated_points
 from ...identification.fit import Fit
 from ...identification.model_averaging import Alternatives
-from ...identification.predictable import own_parameters
+from ...identification.predictable import independent_of, own_parameters
 from ...identification.shape_steps import SETTLED
 from ...model.forward import Model
 from ...model.measurement import CheckPoints, Measurement
+from ...numerics.eigen import eigh
 from ...numerics.spatial import after_alignment, align_rigid
 
 _BLOCK, _BLOCKS = 8, 25
@@ -123,7 +124,7 @@ def _by_leverage(roots: np.ndarray, r: np.ndarray) -> np.ndarray | None:
         return None
     seen = roots.any(axis=1)  # a reading that does not exist stays exactly zero
     z, predicted = roots[seen], r.copy()
-    left, directions = np.linalg.eigh(np.eye(len(z)) - z @ z.T)
+    left, directions = eigh(np.eye(len(z)) - z @ z.T)
     if np.any((left > _OWN) & (left < _SHARED)):
         return None
     kept = left >= _SHARED
@@ -363,16 +364,19 @@ def log_predictive_density(fit: Fit, noise: float = 1.0) -> PredictiveDensity:
         rows = np.flatnonzero((folds == fold) & fit.used)
         if not len(rows):
             continue
-        basis, own = own_parameters(jacobian[rows].reshape(-1, jacobian.shape[2]), total, precision)
-        turned, common = jacobian[rows] @ basis, ~own
-        inside = turned.reshape(-1, jacobian.shape[2])
-        rest = basis.T @ total @ basis - inside.T @ inside
-        known = rest[np.ix_(common, common)] + np.diag(precision[common])
+        flat = jacobian[rows].reshape(-1, jacobian.shape[2])
+        remain, taken = independent_of(flat, total, precision)
+        prior, others = precision[remain], total[np.ix_(remain, remain)] - taken
+        basis, own = own_parameters(flat[:, remain], others, prior)
+        turned, common = jacobian[rows][:, :, remain] @ basis, ~own
+        inside = turned.reshape(-1, len(prior))
+        rest = basis.T @ others @ basis - inside.T @ inside
+        known = rest[np.ix_(common, common)] + np.diag(prior[common])
         size = len(rows) if own.any() else max(_BLOCK, -(-len(rows) // _BLOCKS))
         ahead = inside[:, common].T @ whitened[rows].reshape(-1)
         for start in range(0, len(rows), size):
             part = rows[start : start + size]
-            j = turned[start : start + size].reshape(-1, jacobian.shape[2])
+            j = turned[start : start + size].reshape(-1, len(prior))
             r = whitened[part].reshape(-1)
             lower = np.linalg.cholesky(known)
             left = solve_triangular(lower, j[:, common].T, lower=True)
