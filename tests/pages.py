@@ -9,6 +9,7 @@ An HTML comment on the lines before a block says more:
 
     <!-- file: study/setup.toml -->    the block is written to this file instead of being run
     <!-- slow -->                      once on a page: it runs with the slow tests
+    <!-- thorough -->                  once on a page: it runs before a release
 
 and a comment that begins with a line `<!-- sh` or `<!-- python` is a block that readers do not see.
 
@@ -35,7 +36,7 @@ RUN = ("sh", "python")
 _FENCE = re.compile(r"^(?P<in> *)(?P<marks>`{3,}|~{3,})(?P<info>[^\n`]*)$")
 _FILE = re.compile(r"<!-- file: (?P<path>\S+) -->\s*\Z")
 _HIDDEN = re.compile(rf"<!-- ({'|'.join(RUN)})")
-_SLOW = "<!-- slow -->"
+_TIERS = ("slow", "thorough")
 _NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 _WITHIN = 0.02
 """Part by which a printed number may differ from one machine to another; or by two in its last
@@ -75,9 +76,10 @@ def blocks(page: Path) -> list[Block]:
     return found
 
 
-def is_slow(page: Path) -> bool:
-    """Whether a page runs with the slow tests."""
-    return _SLOW in page.read_text(encoding="utf-8")
+def tier(page: Path) -> str:
+    """The marker of the tests with which a page runs; empty where it runs by default."""
+    text = page.read_text(encoding="utf-8")
+    return next((name for name in _TIERS if f"<!-- {name} -->" in text), "")
 
 
 def _blocks(lines: list[str], first: int) -> Iterator[Block]:

@@ -5,14 +5,13 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from pages import NOTEBOOKS, PageError, alike, blocks, differences, is_slow, pages, run
+from pages import NOTEBOOKS, PageError, alike, blocks, differences, pages, run, tier
 from report_schema import SCHEMA
 from vcal import StudyError
 from vcal.effects import CATALOGUE
 from vcal.instruments import INSTRUMENTS
 
 RUNS = ("sh", "python", "toml")
-SLOW = pytest.mark.slow
 RUNNING = [page for page in pages() if any(block.kind in RUNS for block in blocks(page))]
 
 
@@ -38,7 +37,9 @@ def own_classes_forgotten():
     "page",
     [
         pytest.param(
-            page, id=f"{page.parent.name}/{page.stem}", marks=SLOW if is_slow(page) else ()
+            page,
+            id=f"{page.parent.name}/{page.stem}",
+            marks=getattr(pytest.mark, tier(page)) if tier(page) else (),
         )
         for page in RUNNING
     ],

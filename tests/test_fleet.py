@@ -272,7 +272,7 @@ def test_a_report_that_was_written_before_an_interruption_counts(tmp_path, monke
     assert found.members[1].content == new.content and found.members[1].seconds == 2.5
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @posix
 def test_killed_broken_and_interrupted_studies_lose_nothing(study, tmp_path, programs):
     """One of four processes' worth of mistakes each, and a restart."""

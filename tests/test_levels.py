@@ -85,7 +85,7 @@ def test_linear_draws_have_the_covariance_of_the_identification(tracker):
     np.testing.assert_allclose(linear.at_nominal, 0.0, atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_screw_of_unknown_pitch_is_refused(tracker):
     """Its derivative at one pitch says nothing of the others."""
     screw = tracker.effect("screw_cyclic:X:sine_um=1,pitch_mm=10")

@@ -137,7 +137,7 @@ def test_a_disk_that_is_really_full(study_of, tmp_path):
 
 
 @linux
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_every_write_of_commands_that_take_a_second(study_of, tmp_path):
     """`benchmarks/disk_full.py` does it for all commands."""
     for number, (words, said_before) in enumerate(

@@ -40,7 +40,7 @@ def test_monte_carlo_gives_what_is_printed(one: Published):
             assert one.by_draws(p, ensemble) == pytest.approx(float(p.text), abs=margin), p
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_table_shows_every_printed_result():
     pytest.importorskip("sphinx", reason="the extra docs has it")
     from _site.published import published

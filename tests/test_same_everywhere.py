@@ -48,7 +48,7 @@ def usual(few_points, programs, tmp_path_factory):
     return record(few_points, tmp_path_factory.mktemp("usual") / "record.json", programs)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_all_changes_at_once(usual, few_points, programs, tmp_path):
     """Two threads, another zone, locale, order of sets and home, no docstrings, 20 years on."""
     again = record(
