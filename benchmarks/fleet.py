@@ -2,10 +2,10 @@
 
 The studies are start studies of several instruments, measured by machines of their own (`vcal
 simulate` with a seed each, half of them with an effect that is not declared); one of them is
-broken. `vcal loop STUDY...` closes them with one worker and with two; then with two of which one is
-killed in the middle; then the command itself is killed and repeated. Every command starts with an
-empty cache of compiled programs of its own. All reports must say the same but for times. Needs
-Linux.
+broken. `vcal loop STUDY...` closes them with one worker and with two; then, on the first of them
+and the broken one, with two workers of which one is killed in the middle; then the command itself
+is killed and repeated. Every command starts with an empty cache of compiled programs of its own.
+All reports must say the same but for times. Needs Linux.
 
     python benchmarks/fleet.py --studies 200
 """
@@ -33,8 +33,8 @@ EFFECT = {
     "ball_array": "scale_growth:X:alpha_um_per_m_K=8",
 }
 """What every second machine of an instrument has and its study does not declare."""
-TIMES = ("seconds", "command")
-"""Keys of a report that say when and how it was made."""
+TIMES = ("seconds", "command", "sha256")
+"""Keys of a report that say how it was made, and the hashes of its files."""
 SINGLE = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -141,20 +141,26 @@ def main() -> None:
     """Make the studies and close the loop on them in four ways."""
     parser = parser_of(__doc__, "fleet")
     parser.add_argument("--studies", type=int, default=200)
+    parser.add_argument("--killed", type=int, default=40, help="studies of the last two ways")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
         studies = make_studies(options.studies, work)
         rows: list[dict] = []
         first: dict[str, Any] = {}
-        for name, workers, kill in (
-            ("one", 1, ""), ("two", 2, ""), ("killed", 2, "worker"), ("again", 2, "command"),
-        ):  # fmt: skip
-            row = closed(studies, work, name, workers, kill)
+        broken = studies[len(studies) // 2]
+        few = [*studies[: options.killed], broken]
+        for name, workers, kill, some in (
+            ("one", 1, "", studies),
+            ("two", 2, "", studies),
+            ("killed", 2, "worker", few),
+            ("again", 2, "command", few),
+        ):
+            row = {"studies": len(some), **closed(some, work, name, workers, kill)}
             found = reports(work / name)
             first = first or found
-            row["same"] = sum(found.get(key) == value for key, value in first.items())
-            row["lost"] = len(studies) - 1 - len(found)
+            row["same"] = sum(first.get(key) == value for key, value in found.items())
+            row["lost"] = len(some) - 1 - len(found)
             row["verdicts"] = dict(Counter(one["verdict"] for one in found.values()))
             rows.append(row)
             print(row, flush=True)
