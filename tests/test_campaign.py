@@ -4,6 +4,8 @@ import dataclasses
 import os
 import re
 import signal
+import subprocess
+import sys
 
 import equinox as eqx
 import jax
@@ -28,6 +30,7 @@ from vcal.uncertainty import (
     virtual_pair,
 )
 from vcal.uncertainty.campaign import _Evaluate
+from vcal.uncertainty.cluster import _Work
 
 
 @pytest.fixture(scope="module")
@@ -360,3 +363,23 @@ def test_a_cluster_without_workers_is_refused(known):
     it = known["laser_tracker"]
     with pytest.raises(ValueError, match="client: found no worker"):
         monte_carlo(it.model, it.model, it.plan, draws=100, client=Empty())
+
+
+def test_a_block_in_a_worker_uses_one_thread():
+    class Made:
+        workers = 8
+
+        def __call__(self, first, count):
+            return {}
+
+    assert _Work(Made, (), "one").evaluate().workers == 1
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="only Linux restricts a process")
+def test_threads_of_a_restricted_process():
+    code = (
+        "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); "
+        "from vcal.numerics.processes import cores; print(cores())"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "1"

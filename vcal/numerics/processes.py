@@ -38,6 +38,15 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 
+def cores() -> int:
+    """Number of cores that this process may use: those to which it is restricted (`taskset`, a
+    batch system), where the system tells.
+    """
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 @dataclass(frozen=True)
 class Ended:
     """The process of a job ended without a result, as often as it was begun."""

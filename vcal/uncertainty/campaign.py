@@ -8,7 +8,6 @@ population of machines.
 """
 
 import hashlib
-import os
 import uuid
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -31,6 +30,7 @@ from ..model.forward import Model, Shapes
 from ..model.simulate import draw, prepare
 from ..numerics.arrays import Array
 from ..numerics.compiled import jit_outermost
+from ..numerics.processes import cores
 from .cluster import InCluster
 from .ensemble import Ensemble
 from .intervals import Kind
@@ -310,7 +310,7 @@ class _Evaluate:
         self.seed, self.tolerance = seed, tolerance
         self.key = jax.random.key(seed)
         processor = jax.default_backend() == "cpu"
-        self.workers = (os.cpu_count() or 1) if processor else 1
+        self.workers = cores() if processor else 1
         self.size = _PART if processor else _BLOCK
         # Methods of identification in order, each applied to the draws that are left, with the
         # number of draws computed together. On a CPU, none waits for the slowest of its part.

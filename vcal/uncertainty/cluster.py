@@ -16,7 +16,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping
 from types import ModuleType
-from typing import Any
+from typing import Any, Protocol
 
 import jax
 import numpy as np
@@ -32,7 +32,16 @@ _AHEAD = 2
 _KEPT = 4
 """Most campaigns whose compiled programs a worker keeps."""
 
-Evaluate = Callable[[int, int], Mapping[str, np.ndarray]]
+
+class Evaluate(Protocol):
+    """The function of a range of draws."""
+
+    workers: int
+    """Number of threads that it uses."""
+
+    def __call__(self, first: int, count: int) -> Mapping[str, np.ndarray]: ...
+
+
 _made: OrderedDict[str, Evaluate] = OrderedDict()
 _making = threading.Lock()
 
@@ -108,7 +117,9 @@ class _Work:
         """The function of a range of draws."""
         jax.config.update("jax_enable_x64", True)
         keep_programs()
-        return self.make(*pickle.loads(self.content))
+        evaluate = self.make(*pickle.loads(self.content))
+        evaluate.workers = 1  # every thread of a worker has a block of its own
+        return evaluate
 
 
 def _computed(work: _Work, first: int, count: int) -> dict[str, np.ndarray]:

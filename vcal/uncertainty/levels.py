@@ -16,7 +16,6 @@ the linearisation; the pairs correct it, and a few suffice because they differ l
 """
 
 import math
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -37,6 +36,7 @@ from ..model.simulate import Simulator, draw_scatter
 from ..numerics.arrays import Array
 from ..numerics.eigen import eigh
 from ..numerics.normal_draws import standard_normal
+from ..numerics.processes import cores
 from .campaign import PairEvaluate, virtual_pair
 from .ensemble import Ensemble
 from .intervals import check_coverage
@@ -293,7 +293,7 @@ class _LinearEvaluate:
         self._function = jax.jit(jax.vmap(one))
 
     def __call__(self, first: int, count: int) -> dict[str, np.ndarray]:
-        with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        with ThreadPoolExecutor(cores()) as pool:
             found = list(pool.map(self._part, range(first, first + count, _TOGETHER)))
         return {name: np.concatenate([part[name] for part in found]) for name in found[0]}
 

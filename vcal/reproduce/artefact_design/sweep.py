@@ -4,7 +4,6 @@ All designs meet the same machines (common random numbers), so that the trends s
 does and not which machines were drawn.
 """
 
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from ...design import ArrayPoses
+from ...numerics.processes import cores
 from ...uncertainty.programs import Programs
 from .expected import Plain, Task, bayes_um, best_plain
 from .machines import Machines, calibrate
@@ -111,7 +111,7 @@ def exact(
         return design.key, drawn(made)
 
     wanted = [design for design in designs() if only is None or design.key in only]
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(cores()) as pool:
         return dict(pool.map(one, wanted))
 
 

@@ -6,7 +6,6 @@ workshop), *left* (true less predicted tool point, which only a simulation can k
 (the same after the best rigid alignment of all points).
 """
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -26,6 +25,7 @@ from ...model.port_map import PortMap
 from ...model.simulate import Simulator, draw
 from ...numerics.arrays import Array
 from ...numerics.compiled import jit_outermost
+from ...numerics.processes import cores
 from ...numerics.spatial import rigid_basis
 from ...uncertainty.campaign import virtual_pair
 from ...uncertainty.ensemble import Ensemble
@@ -330,7 +330,7 @@ class _Evaluate:
     ):
         self.program, self.key, self.numbers = program, key, numbers
         self.counts, self.tests = counts, tests
-        self.workers = (os.cpu_count() or 1) if _on_processor() else 1
+        self.workers = cores() if _on_processor() else 1
         self.size = _size()
 
     def __call__(self, first: int, count: int) -> dict[str, np.ndarray]:
