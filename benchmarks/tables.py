@@ -42,6 +42,7 @@ COMMANDS = {
     "linuxcnc": "linuxcnc.py --first-seed 53000 --sets 3",
     "fuzz": "fuzz.py --inputs 10000 --computed 200 --batch 250 --seed 10000",
     "signals": "signals.py --signals 200 --seed 2",
+    "two_level": "two_level.py --draws 200000 --repeats 200",
 }
 """Commands of the results that are not those of the script of the same name without options."""
 POWER = (
@@ -564,6 +565,21 @@ def uncertainty_peers(found: dict) -> str:
     return table(head, rows)
 
 
+def growth(found: dict) -> str:
+    rows = (
+        [
+            f"{r['number']:,} {r['kind']}",
+            f"{r['rows']:,}",
+            *(f"{r[key]:.1f}" for key in ("read_cpu_s", "loop_cpu_s")),
+            f"{r['peak_mib']:.0f}",
+            f"{r['exponent']:.2f}" if "exponent" in r else "",
+            ", ".join(r["named"]),
+        ]
+        for r in found["rows"]
+    )
+    return table("study,rows,reading CPU s,loop CPU s,peak memory MiB,exponent,named", rows)
+
+
 TABLES: dict[str, tuple[Callable[..., str], tuple[str, ...]]] = {
     "results": (results, ()),
     **{
@@ -609,6 +625,7 @@ LONG = {
             laser_frame,
             artefact_design,
             interrupted,
+            growth,
             strd,
         )
     },
