@@ -243,18 +243,17 @@ def _instrument(
         plan = _planned(settings, instrument, chain, table)
     if table is not whole:
         plan = replace(plan, numbers=np.array(table.numbers))
-    declared, readings, rows, used = instrument, None, None, plan
+    declared, readings, every, rows, used = instrument, None, None, None, plan
     if measured:
         with calling(settings, kind, "measured", "readings in SI from the columns of the table"):
             readings = instrument.measured(table)
         check_readings(settings, instrument, plan, readings)
+        every = readings
         with calling(settings, kind, "summarised", "a Summary, or None"):
             summary = instrument.summarised(plan, readings)
         if summary is not None:
             declared = instrument = summary.instrument
             used, rows = summary.plan, summary.rows
-            named = readings_of(settings, kind, chain.axes)
-            check_scatter(table, named, instrument, plan, readings)
             readings = summary.readings
         with calling(settings, kind, "start", "the same instrument"):
             instrument = instrument.start(chain, used, readings)
@@ -263,8 +262,8 @@ def _instrument(
         # The trial needs a plan of the complete rows only.
         alone = _planned(settings, instrument, chain, table)
         check_instrument(settings, instrument, chain, table, alone, readings)
-    if readings is not None and rows is None:
-        check_scatter(table, readings_of(settings, kind, chain.axes), instrument, plan, readings)
+    if every is not None:
+        check_scatter(table, readings_of(settings, kind, chain.axes), instrument, plan, every)
     return declared, instrument, used, readings, rows
 
 
