@@ -3,6 +3,7 @@
 A machine with the geometric errors of the tests' table and a screw of one pitch is measured by the
 independent numpy generator, at positions of X in equal steps and four lines along it. The loop is
 closed on each set. A pitch of which the step is a whole multiple gives no wave in the readings.
+Where another name is more probable, the class may stand among its alternatives.
 
     python benchmarks/aliases.py --jobs 2
     python benchmarks/aliases.py --summary
@@ -61,6 +62,8 @@ def one_set(step: float, pitch: float, seed: int) -> dict:
         shapes = [shape["pitch"] for shape in found.shapes] or [float(value)]
         line["status"], line["pitches"] = found.status, [float(f"{p:.5g}") for p in shapes]
         line["value"], line["u"] = float(value), float(u)
+    beside = [e.shapes_of("screw_cyclic", "X") for e in closure.effects if e.status == "ambiguous"]
+    line["alternative_pitches"] = [float(f"{v['pitch']:.5g}") for v in sum(beside, [])]
     check = {name: found.check for name, found in closure.errors.items()}
     line["check"] = {name: [float(f"{c.value:.5g}"), float(f"{c.u:.3g}")]
                      for name, c in check.items()}  # fmt: skip
@@ -69,10 +72,10 @@ def one_set(step: float, pitch: float, seed: int) -> dict:
     return line | {"seconds": round(time.perf_counter() - begun, 2)}
 
 
-def true_in(line: dict) -> bool:
-    """Whether a member of the class is the true pitch."""
+def true_in(line: dict, pitches: list[float]) -> bool:
+    """Whether one of the pitches is the true one."""
     covered = (STEPS[line["step"]] - 1) * line["step"]
-    away = (abs(1.0 / p - 1.0 / line["pitch"]) for p in line["pitches"])
+    away = (abs(1.0 / p - 1.0 / line["pitch"]) for p in pitches)
     return min(away) * covered <= BETWEEN
 
 
@@ -90,11 +93,14 @@ def summary(lines: list[dict]) -> dict:
     vcal.enable_float64()
     seen, unseen = ([x for x in lines if x["unseen"] == which] for which in (False, True))
     named = [x for x in seen if "pitches" in x]
+    beside = [x for x in seen if "pitches" not in x and x["alternative_pitches"]]
     record = {
         "seen": len(seen),
         "named": len(named),
         "as_a_class": sum(len(x["pitches"]) > 1 for x in named),
-        "true_in_class": sum(map(true_in, named)),
+        "true_in_class": sum(true_in(x, x["pitches"]) for x in named),
+        "class_as_alternative": len(beside),
+        "true_in_alternative": sum(true_in(x, x["alternative_pitches"]) for x in beside),
         "true_within_U": sum(abs(x["value"] - x["pitch"]) <= 2.0 * x["u"] for x in named),
         "worse_by_more_than_u": sum(x["worse"] for x in lines),
         "other_names": sum(bool(set(x["found"]) - {"screw_cyclic X"}) for x in lines),

@@ -2,6 +2,7 @@
 
 import re
 import unicodedata
+from collections.abc import Sequence
 
 _UNSEEN = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")
 """Unicode categories of characters that a terminal obeys or that are not seen: control codes,
@@ -25,6 +26,12 @@ def counted(count: int, one: str, several: str = "") -> str:
 def three_digits(value: float) -> str:
     """A number of three digits: ``"0.0123"``, ``"4.5"``; larger ones to the unit, ``"1029"``."""
     return f"{value:.0f}" if 999.5 <= abs(value) < 1e6 else f"{value:.3g}"
+
+
+def some_values(values: Sequence[float], most: int = 6) -> str:
+    """The first of several values, as alternatives: ``"5.03 or 8.24 or one of 22 others"``."""
+    some = " or ".join(f"{value:.4g}" for value in values[:most])
+    return f"{some} or one of {len(values) - most} others" if len(values) > most else some
 
 
 def printable(text: str, lines: bool = True, *, spaces: bool = True) -> str:

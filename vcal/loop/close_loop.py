@@ -1,7 +1,7 @@
 """Close the loop: find, name and add the effects that a model lacks, and report the gain."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -19,11 +19,12 @@ from ..identification.fit import Fit, normalised_residuals
 from ..identification.identify import identify
 from ..identification.model_averaging import Alternatives
 from ..instruments.conditions import file_column
+from ..machine.parameters import in_units
 from ..machine.plan import Plan
 from ..model.forward import Model
 from ..model.measurement import CheckPoints, Measurement
 from ..units import si_factor
-from ..words import unsolvable
+from ..words import some_values, unsolvable
 from .empirical import EMPIRICAL
 from .notes import Facts, notes
 from .outcome.closure import Closure, Errors, FoundEffect, Rejected, SetErrors, Verdict
@@ -51,8 +52,6 @@ from .settings import checked, classes_of, null_draws
 from .weighing.cross_validation import check_rms, fit_rms, heldout_fall, heldout_rms
 from .weighing.weighing import CERTAIN, Weighed
 
-_SOME = 6
-"""Most unseen pitches that are listed."""
 _ROOM = 16
 """Parameters that added effects may have before the solver must be recompiled."""
 
@@ -244,13 +243,9 @@ def _found(
         equivalent=weighed.equivalent,
         alternatives=weighed.alternatives,
         separation="" if certain else _separation(weighed, after.measurement.plan.axes),
-        shapes=() if shapes is None else tuple(_in_units(effect, one) for one in shapes.values),
+        shapes=() if shapes is None else tuple(in_units(effect.shapes, v) for v in shapes.values),
+        alike=weighed.alike,
     )
-
-
-def _in_units(effect: Effect, shape: Mapping[str, float]) -> dict[str, float]:
-    """Values of shape parameters (SI) in their units."""
-    return {p.name: shape[p.name] / p.si for p in effect.shapes}
 
 
 def _reference(fit: Fit, place: int) -> list[tuple[str, float, str, float]]:
@@ -383,9 +378,8 @@ def _unseen_pitches(screening: Screening, plan: Plan) -> Iterable[str]:
             found = effect.aliases(plan)
             if found is not None and found.unseen:
                 (p,) = effect.shapes
-                some = " or ".join(f"{pitch / p.si:.4g}" for pitch in found.unseen[:_SOME])
-                more = " ..." if len(found.unseen) > _SOME else ""
-                yield f"{effect.key} with a pitch of {some}{more} {p.unit}"
+                pitches = [pitch / p.si for pitch in found.unseen]
+                yield f"{effect.key} with a pitch of {some_values(pitches)} {p.unit}"
 
 
 def still_rejected(rejected: Iterable[Rejected], found: Iterable[FoundEffect]) -> list[Rejected]:

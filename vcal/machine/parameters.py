@@ -1,7 +1,7 @@
 """Named parameters with unit and prior."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -145,3 +145,8 @@ class Prior(Record):
             return replace(parameter, law=law)
         i = self.names.index(parameter.name)
         return replace(parameter, mean=self.mean[i], sigma=self.sigma[i], law=law)
+
+
+def in_units(parameters: Iterable[Parameter], values: Mapping[str, float]) -> dict[str, float]:
+    """Values (SI) of these parameters in their units, by name."""
+    return {p.name: values[p.name] / p.si for p in parameters}

@@ -13,6 +13,7 @@ from ...identification.fit import Fit
 from ...identification.model_averaging import Alternatives
 from ...instruments.conditions import file_column, in_file
 from ...labelled import html_table, labelling
+from ...machine.parameters import in_units
 from ...model.measurement import CheckPoints
 from ...units import si_factor, si_unit
 from ...words import counted
@@ -23,6 +24,7 @@ from ..residuals.vibration import Vibration
 from ..screening.candidates import Untestable
 from ..screening.screening import Screening
 from ..weighing.cross_validation import Rms
+from ..weighing.weighing import AlikeShapes
 from .misdeclared import Misdeclared
 from .unexplained import Unexplained, way
 
@@ -105,6 +107,16 @@ class FoundEffect:
     most probable first; empty where there is one only. The model holds their mean
     (`vcal.effects.shape_class`), and two standard uncertainties of a shape parameter reach all of
     them."""
+    alike: tuple[AlikeShapes, ...] = ()
+    """Alternatives of which several shapes fit alike."""
+
+    def shapes_of(self, name: str, placement: str) -> list[dict[str, float]]:
+        """Values of the shape parameters of an alternative, in their units, that the readings
+        cannot distinguish, the most probable first; empty where there is one only.
+        """
+        key = f"{name} {placement}".strip()
+        its = next((one for one in self.alike if one.effect.key == key), None)
+        return [] if its is None else [in_units(its.effect.shapes, v) for v in its.shapes]
 
     @property
     def perhaps_chance(self) -> bool:

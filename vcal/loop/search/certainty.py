@@ -13,6 +13,7 @@ from ...effects.reference import with_known_reference
 from ...geometry.compensated import machine_terms
 from ...identification.fit import POORLY_DETERMINED, Fit, declared_chi2
 from ...instruments.conditions import file_column
+from ...words import some_values
 from ..empirical.base import Empirical
 from ..outcome.closure import LIKELY, FoundEffect
 from ..outcome.unexplained import Unexplained
@@ -25,6 +26,9 @@ from .state import State, without
 
 _COVERAGE = 2.0
 """Expanded uncertainty in standard uncertainties that a found effect exceeds."""
+_EXCLUDED = 9.0
+"""Chi-square, in units of the noise, by which an effect must fit worse to be excluded by the
+readings alone."""
 _OUT = 3.0
 """Standard uncertainties by which a shape parameter would have to leave its grid to count as
 outside."""
@@ -39,7 +43,8 @@ def doubted(
     Such reasons are a larger unexplained residual that depends on the same covariate, a shape
     parameter outside its grid, an effect that could not be tested, an amplitude that is poorly
     determined, a size that is physically impossible, an effect no larger than what the model
-    neglects of a far larger one, and the probability that nothing more is missing.
+    neglects of a far larger one, a wave that the positions do not resolve, and the probability that
+    nothing more is missing.
     """
     if found.status != "named":
         return found
@@ -51,6 +56,7 @@ def doubted(
         or poorly_determined(fit, place)
         or impossible_size(fit, place)
         or second_order(fit, place)
+        or shapes_not_excluded(found, fit)
         or by_chance(found)
     )
     return replace(found, status="ambiguous", separation=why) if why else found
@@ -113,6 +119,28 @@ def by_chance(found: FoundEffect) -> str:
     return (
         f"with a probability of {100.0 * found.chance:.0f} % it is chance, and nothing more is "
         "missing: measure again where it would be large"
+    )
+
+
+def shapes_not_excluded(found: FoundEffect, fit: Fit) -> str:
+    """Reason where an effect of which several shapes fit alike fits nearly as well as this one.
+
+    A screw measured at positions in equal steps looks like a wave of another pitch, and a long one
+    like a polynomial. Its many pitches share one prior probability, which then decides against it,
+    and not the readings.
+    """
+    near = [one for one in found.alike if one.worse < _EXCLUDED]
+    if not near:
+        return ""
+    other = min(near, key=lambda one: one.worse)
+    p = other.effect.shapes[0]
+    values = [shape[p.name] / p.si for shape in other.shapes]
+    where = [file_column(name, fit.measurement.plan.axes)[0] for name in other.effect.indicators]
+    than = "higher" if other.worse >= 0.0 else "lower"
+    return (
+        f"{other.effect.key} with a {p.name} of {some_values(values)} {p.unit} fits as well within "
+        f"the noise (its chi-square is {than} by {abs(other.worse):.1f}): measure at values of "
+        f"{' and '.join(where)} between those measured"
     )
 
 

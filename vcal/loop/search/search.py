@@ -20,7 +20,7 @@ from ..screening.score_test import Peak
 from ..screening.screening import Screening
 from ..screening.size_evidence import over_scales
 from ..weighing.rivals import Rival, refit_all
-from ..weighing.weighing import Weighed, classes_of, likelier, weigh
+from ..weighing.weighing import Weighed, classes_of, likelier, probable, weigh
 from .forward_selection import Added, ForwardSelection, Kept, place_of
 from .sizes import LIKELIER, sizes_that_fit, tested_sizes
 from .state import State, fitted, without
@@ -457,7 +457,8 @@ def _place(state: State, item: Added) -> int:
 
 
 _FAR = 1e-3
-"""Probability in its round below which a rival cannot become the best."""
+"""Probability in its round, of its own or of its name, below which a rival cannot become the best.
+"""
 
 
 def reweigh_rivals(item: Added, state: State, room: int) -> Weighed:
@@ -471,7 +472,7 @@ def reweigh_rivals(item: Added, state: State, room: int) -> Weighed:
     others = [e for i, e in enumerate(state.model.effects) if i != place]
     if not weighed.instead or not _more(others, weighed.best.fit.model.effects):
         return weighed
-    near = [r for share, r in weighed.instead if share > _FAR]
+    near = [r for _, r in probable(weighed.instead, _FAR)]
     rivals = [r for r in near if _more([r.effect], others)]
     if not rivals:
         return weigh([[weighed.best]], weighed.best)

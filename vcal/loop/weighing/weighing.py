@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.linalg import cho_solve
 
+from ...effects.base import Effect
 from ...effects.reference import same_effect, with_known_reference
 from ...identification.fit import Fit, declared_chi2
 from ..screening.size_evidence import at_its_shape, over_scales, size_allowance, size_surplus
@@ -20,13 +21,28 @@ to distinguish the two."""
 _SHAPE_LISTED = 0.02
 """Least probability of another shape of the same effect that is listed."""
 _LEAST = 1e-4
-"""Least probability of a rival."""
+"""Least probability of a rival, or of its name ..."""
+_PART = 0.01
+"""... of which it is then at least this part."""
 _FITS_AS_WELL = 10.0
 """Chi-square in units of the noise by which an empirical description must fit better than an effect
 to be preferred to it ..."""
 _LIKELIER = math.log(20.0)
 """... unless it has no fewer parameters, fits no worse and has log odds over it of so much, without
 the cost of a size that is larger than expected."""
+
+
+@dataclass(frozen=True)
+class AlikeShapes:
+    """Shapes of another effect that the readings cannot distinguish, such as the pitches of a screw
+    on positions in equal steps.
+    """
+
+    effect: Effect
+    shapes: tuple[Mapping[str, float], ...]
+    """SI; the most probable one first."""
+    worse: float
+    """Chi-square, in units of the noise, by which they fit worse than the best name."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +64,8 @@ class Weighed:
     instead: tuple[tuple[float, Rival], ...] = ()
     """(probability, rival) of what the effect may be instead, under the same name or another,
     however certain the name is. The size costs of the others are left out."""
+    alike: tuple[AlikeShapes, ...] = ()
+    """Other names of which several shapes fit alike."""
 
     @property
     def outweighed(self) -> bool:
@@ -307,7 +325,22 @@ def weigh(
             and (share := each[id(rival)] * per_weight) > _SHAPE_LISTED
         ],
         instead=_instead(best, members_of.values()),
+        alike=tuple(_alike_shapes(best, classes)),
     )
+
+
+def _alike_shapes(best: Rival, classes: Iterable[Sequence[Rival]]) -> Iterable[AlikeShapes]:
+    """Other effects of which several shapes are in one class."""
+    noise = max(1.0, best.fit.chi2 / best.fit.dof)
+    for members in classes:
+        if any(r.effect.key == best.effect.key for r in members):
+            continue
+        for effect in {id(r.effect): r.effect for r in members}.values():
+            its = [r for r in members if r.effect is effect]
+            if its[1:] and all(p.moves for p in effect.shapes):
+                shapes = tuple(dict(r.fit.shapes[len(r.fit.model.effects) - 1]) for r in its)
+                chi2 = min(r.fit.chi2 for r in its)
+                yield AlikeShapes(effect, shapes, (chi2 - best.fit.chi2) / noise)
 
 
 def _instead(best: Rival, names: Iterable[Sequence[Rival]]) -> tuple[tuple[float, Rival], ...]:
@@ -320,8 +353,20 @@ def _instead(best: Rival, names: Iterable[Sequence[Rival]]) -> tuple[tuple[float
     logs = np.array([r.log_weight if r is best else r.log_weight_at_its_size for r in members])
     weights = np.exp(logs - logs.max())
     shares = weights / weights.sum()
-    return tuple(
-        (float(share), rival)
-        for share, rival in zip(shares, members, strict=True)
-        if rival is not best and share > _LEAST
-    )
+    every = [(float(share), rival) for share, rival in zip(shares, members, strict=True)]
+    return tuple(pair for pair in probable(every, _LEAST) if pair[1] is not best)
+
+
+def probable(rivals: Sequence[tuple[float, Rival]], least: float) -> list[tuple[float, Rival]]:
+    """Those of (share, rival) with a share above `least`, alone or as a part of their name: the
+    share of a name may be spread evenly over the many shapes that it may have.
+    """
+    of_name: dict[str, float] = {}
+    for share, rival in rivals:
+        of_name[rival.effect.key] = of_name.get(rival.effect.key, 0.0) + share
+
+    def enough(share: float, rival: Rival) -> bool:
+        whole = of_name[rival.effect.key]
+        return share > least or (whole > least and share > _PART * whole)
+
+    return [pair for pair in rivals if enough(*pair)]

@@ -274,7 +274,12 @@ def _effect(closure: Closure, found: FoundEffect) -> dict[str, Any]:
         "heldout_gain": found.heldout_gain,
         "equivalent": list(found.equivalent),
         "alternatives": [
-            {"effect": name, "placement": placement, "probability": probability}
+            {
+                "effect": name,
+                "placement": placement,
+                "probability": probability,
+                "indistinguishable_shapes": found.shapes_of(name, placement),
+            }
             for name, placement, probability in found.alternatives
         ],
         "separation": found.separation,
