@@ -20,6 +20,7 @@ from vcal.distributions import (
     MultivariateNormal,
     Normal,
     Repeats,
+    StudentT,
     Triangular,
     Uniform,
 )
@@ -34,6 +35,7 @@ from vcal.uncertainty import (
 
 _DRAWS = 200_000
 _MEMORY = "memory"
+_SUNCAL = "public tests of suncal, after TN 1900 and the NIST Uncertainty Machine"
 _METRODATA = "memory, y and u compared with the public file of metrodata.de"
 
 
@@ -115,6 +117,12 @@ class Published:
 
 def _total(v: dict[str, Any]) -> Any:
     return sum(v.values())
+
+
+def _viscometer(v: dict[str, Any]) -> Any:
+    """mu_M = mu_C t_M (rho_B - rho_M) / (t_C (rho_B - rho_C))."""
+    buoyant = (v["rho_B"] - v["rho_M"]) / (v["rho_B"] - v["rho_C"])
+    return v["mu_C"] * v["t_M"] / v["t_C"] * buoyant
 
 
 def _within(half: float, middle: float = 0.0) -> Uniform:
@@ -604,5 +612,73 @@ EXAMPLES = (
             Printed("high", "27.4", "°C"),
         ),
         _MEMORY,
+    ),
+    Published(
+        "NIST TN 1900, E3",
+        "falling ball viscometer",
+        lambda: Inputs(
+            {
+                "mu_C": Normal(4.63, 0.0463),
+                "t_M": Normal(61.0, 6.1),
+                "t_C": Normal(36.6, 5.49),
+                "rho_B": Normal(2217.0, 0.5),
+                "rho_M": Normal(1180.0, 0.5),
+                "rho_C": Normal(810.0, 0.5),
+            }
+        ),
+        _viscometer,
+        (
+            Printed("y", "5.69", "mPa s", monte_carlo=False),
+            Printed("u", "1.11", "mPa s", within=0.1, monte_carlo=False),
+            Printed("y", "5.82", "mPa s", gum=False),
+            Printed("low", "4.05", "mPa s", gum=False, within=0.01),
+            Printed("high", "8.39", "mPa s", gum=False, within=0.01),
+        ),
+        _SUNCAL,
+    ),
+    Published(
+        "NIST TN 1900, E11",
+        "microwave step attenuator",
+        lambda: Inputs(
+            {
+                "L_S": StudentT.from_std(30.0402, 0.0091, 3.0),
+                "dL_S": _within(0.00433, 0.003),
+                "dL_D": _u_shaped(0.00198),
+                "dL_M": _u_shaped(0.02828),
+                "dL_K": _u_shaped(0.0029698),
+                "dL_ib": _within(0.0005196),
+                "dL_ia": _within(0.0005196),
+                "dL_0b": Normal(0.0, 0.002),
+                "dL_0a": Normal(0.0, 0.002),
+            }
+        ),
+        _total,
+        (
+            Printed("y", "30.043", "dB"),
+            Printed("u", "0.0224", "dB", gum=False, within=5e-4),
+            Printed("low", "30.006", "dB", gum=False),
+            Printed("high", "30.081", "dB", gum=False),
+        ),
+        _SUNCAL,
+    ),
+    Published(
+        "NIST TN 1900, E13",
+        "coefficient of thermal expansion",
+        lambda: Inputs(
+            {
+                "L0": StudentT.from_std(1.4999, 1e-4, 3.0),
+                "L1": StudentT.from_std(1.5021, 2e-4, 3.0),
+                "T0": StudentT.from_std(288.15, 0.02, 3.0),
+                "T1": StudentT.from_std(373.10, 0.05, 3.0),
+            }
+        ),
+        lambda v: (v["L1"] - v["L0"]) / (v["L0"] * (v["T1"] - v["T0"])),
+        (
+            Printed("y", "17.266", "1/MK", 1e6, monte_carlo=False),
+            Printed("y", "17.268", "1/MK", 1e6, gum=False),
+            # The linear u of standard deviations is 1.76; the GUM takes the scales of the t.
+            Printed("u", "1.74", "1/MK", 1e6, gum=False, within=0.03),
+        ),
+        _SUNCAL,
     ),
 )
