@@ -12,7 +12,7 @@ from ..machine.plan import Plan
 from ..numerics.arrays import Array
 from ..numerics.lattice import lattice_step
 from .base import Effect, Setup, along
-from .forms import Wave, sine_and_cosine
+from .forms import Tones, Wave, sine_and_cosine
 from .registry import register
 
 _FINEST_SHARE, _PER_PERIOD = 0.01, 2.0
@@ -148,6 +148,16 @@ class ScrewCyclic(Wave):
         # Both ends, and one step beyond the finest, so that the finest lies inside the scan.
         steps = math.ceil((highest - lowest) * 4.0 * covered) + 1
         return {"pitch": 1.0 / (lowest + 0.25 / covered * np.arange(steps + 1))}
+
+    def tones(self, plan: Plan) -> Tones | None:
+        x = np.asarray(plan.x(self.placement))
+        f = 1.0 / self.scan(plan)["pitch"]
+        if len(f) < 2:
+            return None
+        step = float((f[-1] - f[0]) / (len(f) - 1))
+        skipped = float(f[0]) / step
+        whole = abs(skipped - round(skipped)) < 1e-9 * (1.0 + skipped)
+        return Tones(x, float(f[0]), step, len(f)) if whole else None
 
     def aliases(self, plan: Plan) -> Aliases | None:
         """The pitches within the scan that positions x0 + n s cannot distinguish: those of

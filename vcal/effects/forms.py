@@ -5,7 +5,7 @@ covariates, and the formula.
 import abc
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -99,6 +99,17 @@ class AtInstrument(Effect):
             yield cls()
 
 
+class Tones(NamedTuple):
+    """A scan of waves whose phase is 2 pi f x, with f = first + k step, k < count."""
+
+    x: np.ndarray
+    """Coordinate (n,) of every row."""
+    first: float
+    """A whole multiple of `step`."""
+    step: float
+    count: int
+
+
 class Wave(Effect):
     """Base class of periodic effects on one port: a sin(phase) + b cos(phase)."""
 
@@ -116,6 +127,10 @@ class Wave(Effect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         return self.waves
+
+    def tones(self, plan: Plan) -> Tones | None:
+        """The scan as equally spaced frequencies; None where it is something else."""
+        return None
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         phase = self.phase(plan, shape)

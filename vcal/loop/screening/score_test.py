@@ -17,8 +17,10 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.ndimage import maximum_filter
 
 from ...effects.base import Effect
+from ...effects.forms import Tones, Wave
 from ...identification.fit import Fit
 from ...numerics.eigen import eigh
+from ...numerics.equal_frequencies import EqualFrequencies
 from .responses import Response, Responses, Scan, filled
 from .significance import SILENT, minus_log_beta_tail
 from .size_evidence import log_mixture, size_allowance, size_surplus
@@ -45,11 +47,19 @@ block of rows at a time, so that the memory does not grow with rows, ports and n
 together."""
 _BLOCK_ROWS = 512
 """Rows of such a block: its null residuals stay in the cache of the processor."""
+_MANY_ROWS, _TONE_ROWS = 2_000, 8_192
+"""Rows from which waves of equally spaced frequencies are summed by FFT, and rows of a block."""
+_FAINT_WAVE = 1e-8
+"""Least squares of a wave, in units of the largest, that such sums give with enough digits."""
 _DRAWN = 2**21
 """Null residuals that are drawn together."""
 _FAINT, _ROUNDING = 1e-6, 1e-9
 """Precision of a free shape parameter: share of that of its scan, and of the information in the
 readings. Both are negligible."""
+
+
+Sums = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""C'r, C'J, C'C, C'r* and the scale of C'C (`ScoreTest._sums`)."""
 
 
 @dataclass(frozen=True)
@@ -161,17 +171,17 @@ class ScoreTest:
         return null, self._cost(squares, (beside**2).sum(0))
 
     def _projected(
-        self, ports: Sequence[int]
+        self, ports: Sequence[int], size: int = _BLOCK_ROWS
     ) -> Iterator[tuple[slice, list[tuple[np.ndarray, np.ndarray, np.ndarray]]]]:
         """Residual (rows), null residuals (rows, draws) and Jacobian (rows, k), projected on each
-        of these ports; of all rows or of one block after the other.
+        of these ports; of all rows, or of one block of `size` rows after the other.
         """
         n = len(self.ports)
         if self._keeps:
             yield slice(0, n), [self._contract(port) for port in ports]
             return
-        for begin in range(0, n, _BLOCK_ROWS):
-            rows = slice(begin, min(begin + _BLOCK_ROWS, n))
+        for begin in range(0, n, size):
+            rows = slice(begin, min(begin + size, n))
             g = np.ascontiguousarray(self.ports[rows][:, :, ports].transpose(0, 2, 1))
             r = np.einsum("npm,nm->pn", g, self.residual[rows])
             drawn = (g.astype(np.float32) @ self.null[rows]).transpose(1, 0, 2)
@@ -220,7 +230,13 @@ class ScoreTest:
         tested: list[Tested | None] = [None] * len(effects)
         for amplitudes, members in alike.items():
             own: dict[int, list[Drops]] = {i: [] for i in members}
-            for together in filled([(i, scans[i]) for i in members], _CHUNK // amplitudes or 1):
+            fast = {i: tones for i in members if (tones := self._tones(effects[i])) is not None}
+            for i, tones in fast.items():
+                effect = effects[i]
+                sums = self._tone_sums(effect, tones)
+                own[i] += self._dropped([len(scans[i].mesh)], sums, null=True)
+            others = [(i, scans[i]) for i in members if i not in fast]
+            for together in filled(others, _CHUNK // amplitudes or 1):
                 responses = [
                     (rows.stop - rows.start, self.responses.scanned(effects[i], scans[i], rows))
                     for i, rows in together
@@ -305,7 +321,57 @@ class ScoreTest:
         size, response = len(next(iter(grid.values()))), self.responses.of(effect, grid)
         return self._drops(len(effect.amplitudes), [(size, response)], null=False)[0]
 
-    def _sums(self, c: int, responses: Sequence[tuple[int, Response]], null: bool):
+    def _tones(self, effect: Effect) -> Tones | None:
+        """The scan of an effect as equally spaced frequencies, where that saves time."""
+        if len(self.ports) < _MANY_ROWS or not isinstance(effect, Wave):
+            return None
+        return effect.tones(self.fit.measurement.plan)
+
+    def _tone_sums(self, effect: Wave, tones: Tones) -> Sums:
+        """`_sums` of a wave at all frequencies of its scan."""
+        n, k, draws = len(self.ports), self.jacobian.shape[2], self.null.shape[2]
+        port = self.fit.model.layout.index(effect.port)
+        x, first, step, count = tones
+        waves = EqualFrequencies(x, first, step, count)
+        quick = EqualFrequencies(x, first, step, count, single=True)
+        twice = EqualFrequencies(x, 2.0 * first, 2.0 * step, count)
+        grid = np.zeros((waves.size, 1 + k))
+        drawn_grid = np.zeros((quick.size, draws), np.float32)
+        for rows, ((r, drawn, j),) in self._projected([port], _TONE_ROWS):
+            grid += waves.spread(rows, np.column_stack([r, j]))
+            drawn_grid += quick.spread(rows, drawn)
+        both = np.column_stack([self._both(port, port), np.ones(n)])
+        double = twice.sums(twice.spread(slice(0, n), both))
+        steps = {p.name: (i, p.step) for i, p in enumerate(effect.amplitudes)}
+        (sine, a), (cosine, b) = (steps[wave.name] for wave in effect.waves)
+        order = np.argsort([sine, cosine])
+        size = np.array([a, b])[order]
+
+        def parts(sums: np.ndarray) -> np.ndarray:
+            """Of the sines and the cosines (count, 2, c)."""
+            return np.stack([sums.imag, sums.real], axis=1)[:, order] * size[:, None]
+
+        found = parts(waves.sums(grid))
+        null = parts(quick.sums(drawn_grid)).astype(np.float32)
+        # sin^2 = (1 - cos 2) / 2, cos^2 = (1 + cos 2) / 2, sin cos = (sin 2) / 2.
+        half = 0.5 * np.stack([-double.real, double.real], axis=1)[:, order]
+        squares = (half + 0.5 * both.sum(0)) * size[:, None] ** 2
+        cc = np.empty((count, 2, 2))
+        cc[:, [0, 1], [0, 1]] = squares[:, :, 0]
+        cc[:, [0, 1], [1, 0]] = 0.5 * a * b * double.imag[:, :1]
+        sums = found[:, :, 0], found[:, :, 1:], cc, null, self.reach * squares[:, :, 1]
+        # A wave that is nearly zero at every position is rounding here.
+        least = _FAINT_WAVE * squares.max((0, 1))
+        faint = np.flatnonzero((squares.min(1) < least).any(1))
+        if len(faint):
+            scan = Scan.of(effect, self.fit.measurement.plan)
+            grid = {name: scan.mesh[faint, i] for i, name in enumerate(scan.names)}
+            exact = self._sums(2, [(len(faint), self.responses.of(effect, grid))], null=True)
+            for whole, part in zip(sums, exact, strict=True):
+                whole[faint] = part
+        return sums
+
+    def _sums(self, c: int, responses: Sequence[tuple[int, Response]], null: bool) -> Sums:
         """C'r (g, c), C'J (g, c, k), C'C (g, c, c) and C'r* (g, c, draws) of all steps; and (g, c)
         what C'C would be if every displacement moved the readings as much as the port that moves
         them most.
@@ -352,8 +418,13 @@ class ScoreTest:
         """Drops of effects with `c` amplitudes, each given as its number of steps and its response
         there.
         """
-        s, cj, cc, s_null, moved = self._sums(c, responses, null)
-        sizes = [size for size, _ in responses]
+        return self._dropped(
+            [size for size, _ in responses], self._sums(c, responses, null), null=null
+        )
+
+    def _dropped(self, sizes: Sequence[int], sums: Sums, *, null: bool) -> list["Drops"]:
+        """Drops of effects with these numbers of steps, from the sums over the rows."""
+        s, cj, cc, s_null, moved = sums
         first = np.cumsum([0, *sizes])
         half = (cj.reshape(-1, cj.shape[2]) @ self.whitening).reshape(cj.shape)
         g = cc - half @ half.transpose(0, 2, 1)
