@@ -34,7 +34,8 @@ class EqualFrequencies:
         width = 8 if single else 16
         beta = 2.3 * width
         self.index = skipped + np.arange(count)
-        self.size = next_fast_len(max(_OVERSAMPLED * (skipped + count), 2 * width), real=True)
+        least = max(_OVERSAMPLED * (skipped + count), 2 * width)
+        self.size = int(next_fast_len(least, real=True))  # pyright: ignore[reportArgumentType]
         u = np.asarray(x, float) * (step * self.size)
         left = np.ceil(u - 0.5 * width)
         z = (left[:, None] + np.arange(width) - u[:, None]) / (0.5 * width)
@@ -54,5 +55,5 @@ class EqualFrequencies:
 
     def sums(self, grid: np.ndarray) -> np.ndarray:
         """The sums (count, c), complex, from the weights of all positions on the fine grid."""
-        found = np.conj(rfft(grid, axis=0)[self.index])
+        found = np.conj(np.asarray(rfft(grid, axis=0))[self.index])
         return found / self._transform[:, None].astype(self.dtype)

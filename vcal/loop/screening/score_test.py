@@ -230,10 +230,9 @@ class ScoreTest:
         tested: list[Tested | None] = [None] * len(effects)
         for amplitudes, members in alike.items():
             own: dict[int, list[Drops]] = {i: [] for i in members}
-            fast = {i: tones for i in members if (tones := self._tones(effects[i])) is not None}
-            for i, tones in fast.items():
-                effect = effects[i]
-                sums = self._tone_sums(effect, tones)
+            fast = {i: found for i in members if (found := self._tones(effects[i])) is not None}
+            for i, (wave, tones) in fast.items():
+                sums = self._tone_sums(wave, tones)
                 own[i] += self._dropped([len(scans[i].mesh)], sums, null=True)
             others = [(i, scans[i]) for i in members if i not in fast]
             for together in filled(others, _CHUNK // amplitudes or 1):
@@ -321,11 +320,12 @@ class ScoreTest:
         size, response = len(next(iter(grid.values()))), self.responses.of(effect, grid)
         return self._drops(len(effect.amplitudes), [(size, response)], null=False)[0]
 
-    def _tones(self, effect: Effect) -> Tones | None:
-        """The scan of an effect as equally spaced frequencies, where that saves time."""
+    def _tones(self, effect: Effect) -> tuple[Wave, Tones] | None:
+        """A wave, and its scan as equally spaced frequencies, where that saves time."""
         if len(self.ports) < _MANY_ROWS or not isinstance(effect, Wave):
             return None
-        return effect.tones(self.fit.measurement.plan)
+        tones = effect.tones(self.fit.measurement.plan)
+        return None if tones is None else (effect, tones)
 
     def _tone_sums(self, effect: Wave, tones: Tones) -> Sums:
         """`_sums` of a wave at all frequencies of its scan."""
@@ -342,6 +342,7 @@ class ScoreTest:
             drawn_grid += quick.spread(rows, drawn)
         both = np.column_stack([self._both(port, port), np.ones(n)])
         double = twice.sums(twice.spread(slice(0, n), both))
+        real, imaginary = np.real(double), np.imag(double)
         steps = {p.name: (i, p.step) for i, p in enumerate(effect.amplitudes)}
         (sine, a), (cosine, b) = (steps[wave.name] for wave in effect.waves)
         order = np.argsort([sine, cosine])
@@ -349,16 +350,16 @@ class ScoreTest:
 
         def parts(sums: np.ndarray) -> np.ndarray:
             """Of the sines and the cosines (count, 2, c)."""
-            return np.stack([sums.imag, sums.real], axis=1)[:, order] * size[:, None]
+            return np.stack([np.imag(sums), np.real(sums)], axis=1)[:, order] * size[:, None]
 
         found = parts(waves.sums(grid))
         null = parts(quick.sums(drawn_grid)).astype(np.float32)
         # sin^2 = (1 - cos 2) / 2, cos^2 = (1 + cos 2) / 2, sin cos = (sin 2) / 2.
-        half = 0.5 * np.stack([-double.real, double.real], axis=1)[:, order]
+        half = 0.5 * np.stack([-real, real], axis=1)[:, order]
         squares = (half + 0.5 * both.sum(0)) * size[:, None] ** 2
         cc = np.empty((count, 2, 2))
         cc[:, [0, 1], [0, 1]] = squares[:, :, 0]
-        cc[:, [0, 1], [1, 0]] = 0.5 * a * b * double.imag[:, :1]
+        cc[:, [0, 1], [1, 0]] = 0.5 * a * b * imaginary[:, :1]
         sums = found[:, :, 0], found[:, :, 1:], cc, null, self.reach * squares[:, :, 1]
         # A wave that is nearly zero at every position is rounding here.
         least = _FAINT_WAVE * squares.max((0, 1))
