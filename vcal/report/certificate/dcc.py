@@ -4,7 +4,9 @@ Source: documentation of the DCC schema 3.3.0 (https://ptb.de/dcc/v3.3.0) and of
 (https://ptb.de/si). Quantities are D-SI elements: ``si:real`` for one value, ``si:realListXMLList``
 for an error motion; units as ``\\micro\\metre``; uncertainty as ``si:expandedMU`` with k = 2, or as
 ``si:coverageIntervalMU`` where the quantity is not normally distributed. Values are rounded to the
-last digit of a two-digit uncertainty (JCGM 100, 7.2.6).
+last digit of a two-digit uncertainty (JCGM 100, 7.2.6). What the schema leaves open follows the
+rules (Schematron) of PTB's library dcclib: method, software and conditions stand in every result,
+releases begin with a letter, only what is referred to has an ``id``.
 """
 
 import datetime
@@ -25,6 +27,8 @@ from .contents import COVERAGE, Certificate, Result, Series, Value
 VERSION = "3.3.0"
 _DCC, _SI = "https://ptb.de/dcc", "https://ptb.de/si"
 _XSI = "http://www.w3.org/2001/XMLSchema-instance"
+_NAMED = "vcal_"
+"""Before the name of a result in its ``refType``, by which programs find it."""
 _NOT_STATED = "not stated"
 _NOWHERE = "ZZ"
 """Country code that ISO 3166-1 leaves to its users, for a draft without a country."""
@@ -130,16 +134,18 @@ def _administrative(one: Certificate, today: datetime.date) -> Element:
     )
 
 
-def _software() -> list[Element]:
+def _software(*names: str) -> list[Element]:
+    """The programs of these names; all without any."""
     kinds = {"vcal": "application"}
     return [
         _dcc(
             "software",
             _text("name", name),
-            _dcc("release", release),
+            _dcc("release", f"v{release}"),
             _dcc("type", kinds.get(name, "library")),
         )
         for name, release in versions().items()
+        if not names or name in names
     ]
 
 
@@ -272,12 +278,17 @@ def _conformity(one: Certificate, found: Conformity, tolerance: float) -> Elemen
 
 
 def _results(one: Certificate) -> Element:
+    return _dcc("measurementResults", *(_result(one, result) for result in one.results))
+
+
+def _under_which(one: Certificate, result: Result) -> list[Element | None]:
+    """Method, software, equipment and conditions of a result. Readers look for them in every one,
+    not beside them.
+    """
     equipment = one.stated.certificate.equipment
     kinds = ", ".join(kind.replace("_", " ") for kind in one.stated.instruments.values())
     conditions = [_condition(one, name) for name in one.machine.ranges if name.startswith("T_")]
-    norms = dict.fromkeys(result.norm for result in one.results)
-    return _dcc(
-        "measurementResults",
+    return [
         _dcc(
             "usedMethods",
             _dcc(
@@ -292,9 +303,10 @@ def _results(one: Certificate) -> Element:
                     "from its covariance by the law of propagation (JCGM 100) or by Monte Carlo "
                     "(JCGM 101).",
                 ),
-                *(_dcc("norm", norm) for norm in norms),
+                _dcc("norm", result.norm),
             ),
         ),
+        _dcc("usedSoftware", *_software("vcal")),
         _dcc(
             "measuringEquipments",
             _dcc("measuringEquipment", _text("name", equipment or kinds)),
@@ -302,8 +314,7 @@ def _results(one: Certificate) -> Element:
         if equipment or kinds
         else None,
         _dcc("influenceConditions", *conditions) if conditions else None,
-        *(_result(result) for result in one.results),
-    )
+    ]
 
 
 def _condition(one: Certificate, name: str) -> Element:
@@ -323,7 +334,7 @@ def _number(value: float, places: int) -> list[Element]:
     return [_si("value", _digits(value, places))]
 
 
-def _result(result: Result) -> Element:
+def _result(one: Certificate, result: Result) -> Element:
     content = [*map(_quantity, result.values), *map(_list, result.series)]
     if result.unknown:
         words = f"Not determined by the measurement: {'; '.join(result.unknown)}."
@@ -331,6 +342,7 @@ def _result(result: Result) -> Element:
     return _dcc(
         "measurementResult",
         _text("name", f"{result.name} ({result.norm})"),
+        *_under_which(one, result),
         _dcc(
             "results",
             _dcc(
@@ -340,7 +352,7 @@ def _result(result: Result) -> Element:
                 _dcc("data", *content),
             ),
         ),
-        id=result.id,
+        refType=_NAMED + result.id,
     )
 
 
@@ -355,7 +367,7 @@ def _quantity(one: Value) -> Element:
             _si("unit", _UNITS[one.unit]),
             _uncertainty(one, places),
         ),
-        id=one.id,
+        refType=_NAMED + one.id,
     )
 
 
@@ -417,7 +429,7 @@ def _list(one: Series) -> Element:
                 ),
             ),
         ),
-        id=one.id,
+        refType=_NAMED + one.id,
     )
 
 
