@@ -1,8 +1,8 @@
 """Campaigns on the workers of a Dask cluster: time, traffic and memory, and the same numbers.
 
 The problem is that of batch.py. The same campaign runs on one worker, on two, and on two of which
-one is killed after the first tenth of the draws; scheduler and workers are processes of their own
-with one thread each. CPU seconds are those of all workers that live at the end. What leaves the
+one is killed after the first tenth of the draws; scheduler and workers are processes of their own,
+every worker on one core. CPU seconds are those of all workers that live at the end. What leaves the
 workers is counted by them; the memory of the scheduler is its peak. Needs the extra `cluster` and
 Linux.
 
@@ -46,9 +46,19 @@ def cluster(workers: int) -> Iterator[Any]:
         scheduler = [f"{base[-1]}.dask_scheduler", *begin, "--port", "0", "--no-dashboard"]
         worker = [f"{base[-1]}.dask_worker", *begin, "--nthreads", "1", "--no-dashboard",
                   "--local-directory", folder]  # fmt: skip
+        cores = sorted(os.sched_getaffinity(0))
         running = [
-            subprocess.Popen([*base[:-1], *one], env=environment, stderr=subprocess.DEVNULL)
-            for one in (scheduler, *[worker] * workers)
+            subprocess.Popen(
+                [*base[:-1], *one],
+                env=environment,
+                stderr=subprocess.DEVNULL,
+                # JAX starts threads for all cores that it may use, whatever its flags say.
+                preexec_fn=lambda mine=mine: os.sched_setaffinity(0, mine),
+            )
+            for one, mine in (
+                (scheduler, cores),
+                *((worker, {cores[i % len(cores)]}) for i in range(workers)),
+            )
         ]
         try:
             while not Path(place).is_file():

@@ -1,6 +1,7 @@
 """The workers of commands: those of a cluster, or processes of this computer."""
 
 import contextlib
+import os
 from collections.abc import Iterator
 from typing import Any
 
@@ -45,7 +46,9 @@ def client_of(workers: int | None, scheduler: str | None) -> Iterator[Any]:
             cluster = LocalCluster(
                 n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0"
             )
-            yield stack.enter_context(Client(stack.enter_context(cluster)))
+            client = stack.enter_context(Client(stack.enter_context(cluster)))
+            client.run(_on_one_core)
+            yield client
             return
         try:
             client = stack.enter_context(Client(scheduler, timeout=_ANSWER_S))
@@ -56,3 +59,10 @@ def client_of(workers: int | None, scheduler: str | None) -> Iterator[Any]:
                 "dask scheduler, and workers with dask worker ADDRESS"
             ) from error
         yield client
+
+
+def _on_one_core(dask_worker: Any) -> None:
+    """Keep a worker to one core: JAX would start threads for all of them, in every worker."""
+    if hasattr(os, "sched_setaffinity"):
+        mine = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {mine[int(dask_worker.name) % len(mine)]})
