@@ -37,6 +37,9 @@ from .weighing.weighing import CERTAIN, DISTINGUISHABLE
 
 PROBABILITY = 0.95
 """Probability with which an effect of the limit's size is named."""
+_OF_DRAWS = 0.98
+"""Share of the draws in which it is named: the refits, the descriptions and the held-out readings
+that they leave out cost some names."""
 _STEPS = 16
 """Most steps of a grid that are compared, and their neighbours."""
 _BESIDE = (1, 2, 4)
@@ -302,7 +305,7 @@ class _Outcomes:
             return size
         odds, _ = self._odds(self._faint, size, self._steps.turned(self._faint, self._across))
         self._others = self._others + np.exp(np.minimum(odds, _MOST_LOG)).sum(0)
-        return size if self._named(size) >= PROBABILITY else self._search(size)
+        return size if self._named(size) >= _OF_DRAWS else self._search(size)
 
     def _search(self, first: float) -> float:
         """The smallest size from `first` on from which the share that is named stays large enough.
@@ -315,7 +318,7 @@ class _Outcomes:
         low, below = 0.0, 0.0
         for size in first * _GROWTH ** np.arange(math.ceil(math.log(_LAST, _GROWTH)) + beyond):
             share = self._named(size)
-            if share >= PROBABILITY:
+            if share >= _OF_DRAWS:
                 found.append((size, share))
             else:
                 found, low, below = [], size, share
@@ -330,11 +333,11 @@ class _Outcomes:
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)
             share = self._named(math.exp(middle))
-            if share >= PROBABILITY:
+            if share >= _OF_DRAWS:
                 high, above = middle, share
             else:
                 low, below = middle, share
-        return math.exp(low + (high - low) * (PROBABILITY - below) / (above - below))
+        return math.exp(low + (high - low) * (_OF_DRAWS - below) / (above - below))
 
     def _named(self, size: float) -> float:
         """Share of the draws in which an effect of that size, in solver units, is named."""
