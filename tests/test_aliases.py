@@ -187,4 +187,4 @@ def test_the_loop_says_which_pitches_were_not_seen(tmp_path):
     )
     assert not closure.effects
     (unseen,) = (said for said in closure.unseen if said.startswith("screw_cyclic X"))
-    assert "a pitch of 50 or 25 or 16.67 or 12.5 or 10 or 8.333 or one of 6 others mm" in unseen
+    assert "a pitch of 50 or 25 or 16.67 or 12.5 or 10 or 8.333 mm, or one of 6 others" in unseen

@@ -28,10 +28,10 @@ def three_digits(value: float) -> str:
     return f"{value:.0f}" if 999.5 <= abs(value) < 1e6 else f"{value:.3g}"
 
 
-def some_values(values: Sequence[float], most: int = 6) -> str:
-    """The first of several values, as alternatives: ``"5.03 or 8.24 or one of 22 others"``."""
-    some = " or ".join(f"{value:.4g}" for value in values[:most])
-    return f"{some} or one of {len(values) - most} others" if len(values) > most else some
+def some_values(values: Sequence[float], unit: str, most: int = 6) -> str:
+    """The first of several values, as alternatives: ``"5.03 or 8.24 mm, or one of 22 others"``."""
+    some = f"{' or '.join(f'{value:.4g}' for value in values[:most])} {unit}"
+    return f"{some}, or one of {len(values) - most} others" if len(values) > most else some
 
 
 def printable(text: str, lines: bool = True, *, spaces: bool = True) -> str:

@@ -379,7 +379,7 @@ def _unseen_pitches(screening: Screening, plan: Plan) -> Iterable[str]:
             if found is not None and found.unseen:
                 (p,) = effect.shapes
                 pitches = [pitch / p.si for pitch in found.unseen]
-                yield f"{effect.key} with a pitch of {some_values(pitches)} {p.unit}"
+                yield f"{effect.key} with a pitch of {some_values(pitches, p.unit)}"
 
 
 def still_rejected(rejected: Iterable[Rejected], found: Iterable[FoundEffect]) -> list[Rejected]:

@@ -138,8 +138,8 @@ def shapes_not_excluded(found: FoundEffect, fit: Fit) -> str:
     where = [file_column(name, fit.measurement.plan.axes)[0] for name in other.effect.indicators]
     than = "higher" if other.worse >= 0.0 else "lower"
     return (
-        f"{other.effect.key} with a {p.name} of {some_values(values)} {p.unit} fits as well within "
-        f"the noise (its chi-square is {than} by {abs(other.worse):.1f}): measure at values of "
+        f"{other.effect.key} with a {p.name} of {some_values(values, p.unit)}, fits as well "
+        f"within the noise (its chi-square is {than} by {abs(other.worse):.1f}): measure at values of "
         f"{' and '.join(where)} between those measured"
     )
 
