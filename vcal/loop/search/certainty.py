@@ -139,8 +139,8 @@ def shapes_not_excluded(found: FoundEffect, fit: Fit) -> str:
     than = "higher" if other.worse >= 0.0 else "lower"
     return (
         f"{other.effect.key} with a {p.name} of {some_values(values, p.unit)}, fits as well "
-        f"within the noise (its chi-square is {than} by {abs(other.worse):.1f}): measure at values of "
-        f"{' and '.join(where)} between those measured"
+        f"within the noise (its chi-square is {than} by {abs(other.worse):.1f}): measure at values "
+        f"of {' and '.join(where)} between those measured"
     )
 
 
