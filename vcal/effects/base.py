@@ -220,6 +220,14 @@ class Effect(Record):
         del plan, values, uncertainties
         return 1.0
 
+    def decided_by(self, plan: Plan) -> tuple[np.ndarray, ...]:
+        """Columns (n,) that decide the response: rows in which all of them are equal have the same
+        response at every step of the scan. The screening of a large plan then evaluates and sums
+        such rows together. Empty where that is not known.
+        """
+        del plan
+        return ()
+
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable["Effect"]:
         """The instances the loop may try on this machine and plan; none by default."""

@@ -98,6 +98,11 @@ class Jump(Effect):
         # At most 200 moments: closer ones give nearly the same step.
         return {"at": gaps[np.unique(np.linspace(0, len(gaps) - 1, 200).astype(int))]}
 
+    def decided_by(self, plan: Plan) -> tuple[np.ndarray, ...]:
+        # A row knows only which of the scanned moments lie before it.
+        passed = np.searchsorted(self.scan(plan)["at"], np.asarray(self.clock.read(plan)))
+        return passed, np.asarray(at_station(plan, self.station))
+
     def edges(self, plan: Plan) -> Mapping[str, np.ndarray]:
         return {"at": np.unique(np.asarray(self.clock.read(plan))[self.rows(plan)])}
 

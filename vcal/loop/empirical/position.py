@@ -30,6 +30,9 @@ class LocalBump(Empirical):
         u = (plan.x(self.placement) - shape["centre"]) / shape["width"]
         return {(self.port, "height"): namespace(u).exp(-0.5 * u * u)}
 
+    def decided_by(self, plan: Plan) -> tuple[np.ndarray, ...]:
+        return (np.asarray(plan.x(self.placement)),)
+
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
         low, high = range_of(plan, self.placement)
         span = (high - low) or 1.0
@@ -72,6 +75,9 @@ class Kink(Empirical):
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         beyond = plan.x(self.placement) - shape["at"]
         return {(self.port, "slope"): namespace(beyond).maximum(beyond, 0.0)}
+
+    def decided_by(self, plan: Plan) -> tuple[np.ndarray, ...]:
+        return (np.asarray(plan.x(self.placement)),)
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
         low, high = range_of(plan, self.placement)

@@ -13,6 +13,9 @@ from ...machine.plan import Plan
 _ROOM = 2**28
 """Most bytes of responses that are cached."""
 
+_NOTHING = 1e-30
+"""Displacement, in solver units, that is taken as zero."""
+
 Response = list[tuple[str, tuple[int, ...], np.ndarray]]
 """(port, amplitudes that act on it (a), displacement in solver units (g, a, n)) of every port."""
 
@@ -71,6 +74,14 @@ class Responses:
     def __init__(self, plan: Plan, room: int = _ROOM):
         self.plan, self._room = plan, room
         self._kept: dict[tuple, Response] = {}
+        self._parts: dict[bytes, Responses] = {}
+
+    def at(self, rows: np.ndarray) -> "Responses":
+        """Responses of some rows only."""
+        key = rows.tobytes()
+        if key not in self._parts:
+            self._parts[key] = Responses(self.plan.take(rows), self._room)
+        return self._parts[key]
 
     def of(self, effect: Effect, grid: Mapping[str, np.ndarray]) -> Response:
         """Response to an effect at the values `grid` (g,) of its shape parameters, SI; g = 1 where
@@ -87,6 +98,8 @@ class Responses:
             values = np.empty((size, len(moved), self.plan.rows))
             for i, (_, step, phi) in enumerate(moved):
                 np.multiply(phi, step, out=values[:, i])
+            # The tails of a bump have no place in single precision, and a processor is slow there.
+            values[np.abs(values) < _NOTHING] = 0.0
             found.append((port, tuple(k for k, _, _ in moved), values))
         return found
 

@@ -9,7 +9,7 @@ the hypothesis that nothing is missing, r* = e - J H^-1 (J'e + L^(1/2) z), which
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,10 +20,10 @@ from ...effects.base import Effect
 from ...effects.forms import Tones, Wave
 from ...identification.fit import Fit
 from ...numerics.eigen import eigh
-from ...numerics.equal_frequencies import EqualFrequencies
 from .responses import Response, Responses, Scan, filled
 from .significance import SILENT, minus_log_beta_tail
 from .size_evidence import log_mixture, size_allowance, size_surplus
+from .sums import EveryRow, Moved, Rows, Sums
 
 _RESOLVED = 1e-5
 """Least share of a candidate's columns that must be independent of the model. A smaller share may
@@ -41,25 +41,15 @@ _AROUND = 3
 """Steps of the grid around its best step within which a parameter without a derivative, such as a
 moment, is looked for: between two steps the statistic may be higher than at both."""
 _CHUNK = 512
-_ROOM = 2**28
-"""Most bytes of projections on ports that are kept. Those of a larger plan are made again for a
-block of rows at a time, so that the memory does not grow with rows, ports and null residuals
-together."""
-_BLOCK_ROWS = 512
-"""Rows of such a block: its null residuals stay in the cache of the processor."""
-_MANY_ROWS, _TONE_ROWS = 2_000, 8_192
-"""Rows from which waves of equally spaced frequencies are summed by FFT, and rows of a block."""
+_MANY_ROWS = 2_000
+"""Rows from which alike rows are summed together, and equally spaced frequencies by FFT."""
 _FAINT_WAVE = 1e-8
-"""Least squares of a wave, in units of the largest, that such sums give with enough digits."""
+"""Least squares of a wave, in units of the largest, that an FFT gives with enough digits."""
 _DRAWN = 2**21
 """Null residuals that are drawn together."""
 _FAINT, _ROUNDING = 1e-6, 1e-9
 """Precision of a free shape parameter: share of that of its scan, and of the information in the
 readings. Both are negligible."""
-
-
-Sums = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""C'r, C'J, C'C, C'r* and the scale of C'C (`ScoreTest._sums`)."""
 
 
 @dataclass(frozen=True)
@@ -108,10 +98,6 @@ class ScoreTest:
         self.fit = fit
         self.responses = Responses(fit.measurement.plan, 0) if responses is None else responses
         n, m = fit.residual.shape
-        self.ports = np.einsum("nij,njp->nip", fit.whitener, fit.port_jacobian)
-        self.reach = float((self.ports**2).sum(1).max(initial=0.0))
-        """Squared derivative of the readings of a row by the port that moves them most."""
-        self.jacobian = fit.jacobian.reshape(n, m, -1)
         self.factor = cho_factor(fit.jacobian.T @ fit.jacobian + np.diag(_free(fit)))
         # A shape parameter at the end of its grid would move further. What that bound leaves in the
         # residual must not be attributed to a candidate.
@@ -131,10 +117,8 @@ class ScoreTest:
         self.cost = max(cost, SILENT * self.count)
         null, self.null_cost = self._null_residuals(draws, seed)
         self.null = null.reshape(n, m, draws)
-        one = n * (8 + 4 * draws + 8 * self.jacobian.shape[2])
-        self._keeps = one * self.ports.shape[2] <= _ROOM
-        self._contracted: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
-        self._products: dict[tuple[int, int], np.ndarray] = {}
+        ports = np.einsum("nij,njp->nip", fit.whitener, fit.port_jacobian)
+        self.rows = EveryRow(ports, self.residual, self.null, fit.jacobian.reshape(n, m, -1))
 
     def _cost(self, chi2, prior):
         """The total that a drop is a share of: squares of the readings and of the prior.
@@ -170,45 +154,16 @@ class ScoreTest:
             null[block] = residual
         return null, self._cost(squares, (beside**2).sum(0))
 
-    def _projected(
-        self, ports: Sequence[int], size: int = _BLOCK_ROWS
-    ) -> Iterator[tuple[slice, list[tuple[np.ndarray, np.ndarray, np.ndarray]]]]:
-        """Residual (rows), null residuals (rows, draws) and Jacobian (rows, k), projected on each
-        of these ports; of all rows, or of one block of `size` rows after the other.
-        """
-        n = len(self.ports)
-        if self._keeps:
-            yield slice(0, n), [self._contract(port) for port in ports]
-            return
-        for begin in range(0, n, size):
-            rows = slice(begin, min(begin + size, n))
-            g = np.ascontiguousarray(self.ports[rows][:, :, ports].transpose(0, 2, 1))
-            r = np.einsum("npm,nm->pn", g, self.residual[rows])
-            drawn = (g.astype(np.float32) @ self.null[rows]).transpose(1, 0, 2)
-            j = (g @ self.jacobian[rows]).transpose(1, 0, 2)
-            yield rows, list(zip(r, drawn, j, strict=True))
-
-    def _contract(self, port: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The projections of all rows on one port, which are kept."""
-        if port not in self._contracted:
-            g = self.ports[:, :, port]
-            self._contracted[port] = (
-                np.einsum("nm,nm->n", g, self.residual),
-                np.einsum("nm,nmd->nd", g.astype(np.float32), self.null, optimize=True),
-                np.einsum("nm,nmk->nk", g, self.jacobian, optimize=True),
-            )
-        return self._contracted[port]
-
     def columns(self, effect: Effect, shape: Mapping[str, float]) -> np.ndarray:
         """Whitened columns C of a candidate (n m, amplitudes), in solver units."""
-        n, m, _ = self.ports.shape
+        n, m, _ = self.rows.ports.shape
         columns = np.zeros((n, m, len(effect.amplitudes)))
         grid = {k: np.array([v]) for k, v in shape.items()}
         for port, k, phi in self._ports(self.responses.of(effect, grid)):
-            columns[:, :, k] += self.ports[:, :, port, None] * phi[0].T[:, None, :]
+            columns[:, :, k] += self.rows.ports[:, :, port, None] * phi[0].T[:, None, :]
         return columns.reshape(n * m, -1)
 
-    def _ports(self, response: Response) -> list[tuple[int, tuple[int, ...], np.ndarray]]:
+    def _ports(self, response: Response) -> Moved:
         layout = self.fit.model.layout
         return [(layout.index(port), amplitudes, phi) for port, amplitudes, phi in response]
 
@@ -230,19 +185,22 @@ class ScoreTest:
         tested: list[Tested | None] = [None] * len(effects)
         for amplitudes, members in alike.items():
             own: dict[int, list[Drops]] = {i: [] for i in members}
-            fast = {i: found for i in members if (found := self._tones(effects[i])) is not None}
-            for i, (wave, tones) in fast.items():
-                sums = self._tone_sums(wave, tones)
-                own[i] += self._dropped([len(scans[i].mesh)], sums, null=True)
-            others = [(i, scans[i]) for i in members if i not in fast]
-            for together in filled(others, _CHUNK // amplitudes or 1):
-                responses = [
-                    (rows.stop - rows.start, self.responses.scanned(effects[i], scans[i], rows))
-                    for i, rows in together
-                ]
-                drops = self._drops(amplitudes, responses)
-                for (i, _), found in zip(together, drops, strict=True):
-                    own[i].append(found)
+            batches: dict[int, tuple[Rows, Responses, list[tuple[int, Scan]]]] = {}
+            for i in members:
+                if (tones := self._tones(effects[i])) is not None:
+                    own[i] += self._dropped([len(scans[i].mesh)], self._tone_sums(*tones))
+                else:
+                    over, responses = self._rows_of(effects[i])
+                    batches.setdefault(id(over), (over, responses, []))[2].append((i, scans[i]))
+            for over, responses, some in batches.values():
+                for together in filled(some, _CHUNK // amplitudes or 1):
+                    moved = [
+                        (rows.stop - rows.start, responses.scanned(effects[i], scans[i], rows))
+                        for i, rows in together
+                    ]
+                    drops = self._drops(amplitudes, moved, over)
+                    for (i, _), found in zip(together, drops, strict=True):
+                        own[i].append(found)
             whole = [Drops.joined(own[i]) for i in members]
             for i, drops, evidence in zip(members, whole, self._evidence(whole), strict=True):
                 if drops.rank.max() > 0:
@@ -318,112 +276,56 @@ class ScoreTest:
     def _at(self, effect: Effect, grid: Mapping[str, np.ndarray]) -> "Drops":
         """Drops for the data alone, without the null residuals."""
         size, response = len(next(iter(grid.values()))), self.responses.of(effect, grid)
-        return self._drops(len(effect.amplitudes), [(size, response)], null=False)[0]
+        return self._drops(len(effect.amplitudes), [(size, response)], self.rows, null=False)[0]
+
+    def _rows_of(self, effect: Effect) -> tuple[Rows, Responses]:
+        """What the scan of an effect is summed over, and the responses there: all rows, or groups
+        of rows that respond alike.
+        """
+        plan = self.fit.measurement.plan
+        columns = effect.decided_by(plan) if plan.rows >= _MANY_ROWS else ()
+        if (groups := self.rows.alike(columns)) is None:
+            return self.rows, self.responses
+        members, over = groups
+        return over, self.responses.at(members)
 
     def _tones(self, effect: Effect) -> tuple[Wave, Tones] | None:
         """A wave, and its scan as equally spaced frequencies, where that saves time."""
-        if len(self.ports) < _MANY_ROWS or not isinstance(effect, Wave):
+        plan = self.fit.measurement.plan
+        if plan.rows < _MANY_ROWS or not isinstance(effect, Wave):
             return None
-        tones = effect.tones(self.fit.measurement.plan)
+        tones = effect.tones(plan)
         return None if tones is None else (effect, tones)
 
     def _tone_sums(self, effect: Wave, tones: Tones) -> Sums:
-        """`_sums` of a wave at all frequencies of its scan."""
-        n, k, draws = len(self.ports), self.jacobian.shape[2], self.null.shape[2]
+        """Sums of a wave at all frequencies of its scan."""
         port = self.fit.model.layout.index(effect.port)
-        x, first, step, count = tones
-        waves = EqualFrequencies(x, first, step, count)
-        quick = EqualFrequencies(x, first, step, count, single=True)
-        twice = EqualFrequencies(x, 2.0 * first, 2.0 * step, count)
-        grid = np.zeros((waves.size, 1 + k))
-        drawn_grid = np.zeros((quick.size, draws), np.float32)
-        for rows, ((r, drawn, j),) in self._projected([port], _TONE_ROWS):
-            grid += waves.spread(rows, np.column_stack([r, j]))
-            drawn_grid += quick.spread(rows, drawn)
-        both = np.column_stack([self._both(port, port), np.ones(n)])
-        double = twice.sums(twice.spread(slice(0, n), both))
-        real, imaginary = np.real(double), np.imag(double)
-        steps = {p.name: (i, p.step) for i, p in enumerate(effect.amplitudes)}
-        (sine, a), (cosine, b) = (steps[wave.name] for wave in effect.waves)
-        order = np.argsort([sine, cosine])
-        size = np.array([a, b])[order]
-
-        def parts(sums: np.ndarray) -> np.ndarray:
-            """Of the sines and the cosines (count, 2, c)."""
-            return np.stack([np.imag(sums), np.real(sums)], axis=1)[:, order] * size[:, None]
-
-        found = parts(waves.sums(grid))
-        null = parts(quick.sums(drawn_grid)).astype(np.float32)
-        # sin^2 = (1 - cos 2) / 2, cos^2 = (1 + cos 2) / 2, sin cos = (sin 2) / 2.
-        half = 0.5 * np.stack([-real, real], axis=1)[:, order]
-        squares = (half + 0.5 * both.sum(0)) * size[:, None] ** 2
-        cc = np.empty((count, 2, 2))
-        cc[:, [0, 1], [0, 1]] = squares[:, :, 0]
-        cc[:, [0, 1], [1, 0]] = 0.5 * a * b * imaginary[:, :1]
-        sums = found[:, :, 0], found[:, :, 1:], cc, null, self.reach * squares[:, :, 1]
+        sums = self.rows.tone_sums(port, tones, [wave.step for wave in effect.amplitudes])
         # A wave that is nearly zero at every position is rounding here.
-        least = _FAINT_WAVE * squares.max((0, 1))
-        faint = np.flatnonzero((squares.min(1) < least).any(1))
+        seen = np.stack([np.einsum("gaa->ga", sums.squares), sums.most], axis=2)
+        faint = np.flatnonzero((seen < _FAINT_WAVE * seen.max((0, 1))).any((1, 2)))
         if len(faint):
             scan = Scan.of(effect, self.fit.measurement.plan)
             grid = {name: scan.mesh[faint, i] for i, name in enumerate(scan.names)}
-            exact = self._sums(2, [(len(faint), self.responses.of(effect, grid))], null=True)
-            for whole, part in zip(sums, exact, strict=True):
-                whole[faint] = part
+            exact = self._ports(self.responses.of(effect, grid))
+            sums.replace(faint, self.rows.sums(2, [(len(faint), exact)]))
         return sums
 
-    def _sums(self, c: int, responses: Sequence[tuple[int, Response]], null: bool) -> Sums:
-        """C'r (g, c), C'J (g, c, k), C'C (g, c, c) and C'r* (g, c, draws) of all steps; and (g, c)
-        what C'C would be if every displacement moved the readings as much as the port that moves
-        them most.
-        """
-        first = np.cumsum([0, *(size for size, _ in responses)])
-        k, draws = self.jacobian.shape[2], self.null.shape[2] if null else 0
-        s, cj, cc = (np.zeros((first[-1], c, *more)) for more in ((), (k,), (c,)))
-        s_null = np.zeros((first[-1], c, draws), np.float32)
-        moved = np.zeros((first[-1], c))
-        through: dict[tuple[int, tuple[int, ...]], list[tuple[np.ndarray, np.ndarray]]] = {}
-        for begin, (size, response) in zip(first[:-1], responses, strict=True):
-            rows = np.arange(begin, begin + size)
-            ports = self._ports(response)
-            for port, a, phi in ports:
-                through.setdefault((port, a), []).append((rows, phi))
-            for (p, a, fa), (q, b, fb) in itertools.combinations_with_replacement(ports, 2):
-                both = (fa * self._both(p, q)) @ fb.transpose(0, 2, 1)
-                at = rows[:, None, None]
-                cc[at, np.array(a)[:, None], np.array(b)] += both
-                if p != q:
-                    cc[at, np.array(b)[:, None], np.array(a)] += both.transpose(0, 2, 1)
-        # All responses through the same port are one matrix product, whichever effect they belong
-        # to.
-        joined = []
-        for (_, a), parts in through.items():
-            at = np.concatenate([rows for rows, _ in parts])[:, None], np.array(a)
-            phi = np.concatenate([phi for _, phi in parts]) if len(parts) > 1 else parts[0][1]
-            moved[at] += self.reach * (phi**2).sum(2)
-            joined.append((at, phi.shape[:2], phi.reshape(-1, phi.shape[2])))
-        ports = list(dict.fromkeys(port for port, _ in through))
-        for rows, projected in self._projected(ports):
-            on = dict(zip(ports, projected, strict=True))
-            for (port, _), (at, shape, whole) in zip(through, joined, strict=True):
-                (r, drawn, j), flat = on[port], whole[:, rows]
-                s[at] += (flat @ r).reshape(shape)
-                cj[at] += (flat @ j).reshape(*shape, k)
-                if null:
-                    s_null[at] += (flat.astype(np.float32) @ drawn).reshape(*shape, draws)
-        return s, cj, cc, s_null, moved
-
     def _drops(
-        self, c: int, responses: Sequence[tuple[int, Response]], null: bool = True
+        self,
+        c: int,
+        responses: Sequence[tuple[int, Response]],
+        over: Rows,
+        null: bool = True,
     ) -> list["Drops"]:
         """Drops of effects with `c` amplitudes, each given as its number of steps and its response
         there.
         """
-        return self._dropped(
-            [size for size, _ in responses], self._sums(c, responses, null), null=null
-        )
+        sizes = [size for size, _ in responses]
+        moved = [(size, self._ports(response)) for size, response in responses]
+        return self._dropped(sizes, over.sums(c, moved, null), null=null)
 
-    def _dropped(self, sizes: Sequence[int], sums: Sums, *, null: bool) -> list["Drops"]:
+    def _dropped(self, sizes: Sequence[int], sums: Sums, *, null: bool = True) -> list["Drops"]:
         """Drops of effects with these numbers of steps, from the sums over the rows."""
         s, cj, cc, s_null, moved = sums
         first = np.cumsum([0, *sizes])
@@ -466,12 +368,6 @@ class ScoreTest:
             Drops(stat[i:j], rank[i:j], amplitudes[i:j], g[i:j], s[i:j], most)
             for i, j, most in zip(first[:-1], first[1:], by_rank, strict=True)
         ]
-
-    def _both(self, p: int, q: int) -> np.ndarray:
-        """Inner product (n) of the whitened responses of the readings to two ports."""
-        if (p, q) not in self._products:
-            self._products[p, q] = np.einsum("nm,nm->n", self.ports[:, :, p], self.ports[:, :, q])
-        return self._products[p, q]
 
     def _evidence(self, of: Sequence["Drops"]) -> list[tuple[np.ndarray, np.ndarray]]:
         """Gain in log evidence and size allowance (`size_evidence.size_allowance`) at every step of

@@ -1,0 +1,260 @@
+"""Sums over the rows of a plan, of candidates at many steps of their grids at once.
+
+With the derivatives g of the whitened readings by the ports, a candidate whose amplitudes displace
+the ports by phi has the columns C = g phi. The score test needs C'r, C'J, C'C and C'r*. A port's
+projections g'r, g'J and g'r* serve all candidates on it.
+"""
+
+import abc
+import itertools
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from ...effects.forms import Tones
+from ...numerics.equal_frequencies import EqualFrequencies
+
+_ROOM = 2**28
+"""Most bytes of projections on ports that are kept. Those of a larger plan are made again for a
+block of rows at a time, so that the memory does not grow with rows, ports and null residuals
+together."""
+_BLOCK_ROWS = 512
+"""Rows of such a block: its null residuals stay in the cache of the processor."""
+_FEW, _LARGE_BLOCK = 512, 8_192
+"""Most groups of alike rows, and rows of a block while they are summed."""
+
+Moved = list[tuple[int, tuple[int, ...], np.ndarray]]
+"""(port, amplitudes that act on it (a), displacement in solver units (g, a, n)) of every port."""
+
+
+class Sums(NamedTuple):
+    """The sums of a candidate with c amplitudes at g steps."""
+
+    residual: np.ndarray
+    """C'r (g, c)."""
+    jacobian: np.ndarray
+    """C'J (g, c, k)."""
+    squares: np.ndarray
+    """C'C (g, c, c)."""
+    null: np.ndarray
+    """C'r* (g, c, draws)."""
+    most: np.ndarray
+    """What C'C would be if every displacement moved the readings as much as the port that moves
+    them most (g, c)."""
+
+    def replace(self, at: np.ndarray, by: "Sums") -> None:
+        """Put other sums in place of those at the steps `at`."""
+        for whole, part in zip(self, by, strict=True):
+            whole[at] = part
+
+
+class Projected(NamedTuple):
+    """Projections of some rows on one port."""
+
+    residual: np.ndarray
+    """(rows)."""
+    null: np.ndarray
+    """(rows, draws), in single precision."""
+    jacobian: np.ndarray
+    """(rows, k)."""
+
+
+class Rows(abc.ABC):
+    """The rows of a plan, or groups of rows, over which candidates are summed."""
+
+    reach: float
+    """Squared derivative of the readings of a row by the port that moves them most."""
+    weights: np.ndarray
+    """Number of rows that each stands for (n)."""
+    parameters: int
+    draws: int
+
+    @abc.abstractmethod
+    def projected(self, ports: Sequence[int]) -> Iterator[tuple[slice, list[Projected]]]:
+        """The projections on these ports, of one block of rows after the other."""
+
+    @abc.abstractmethod
+    def both(self, p: int, q: int) -> np.ndarray:
+        """Inner product (n) of the whitened responses of the readings to two ports."""
+
+    def sums(self, c: int, candidates: Sequence[tuple[int, Moved]], null: bool = True) -> Sums:
+        """Sums of candidates with `c` amplitudes, each given as its number of steps and what it
+        moves there.
+        """
+        first = np.cumsum([0, *(size for size, _ in candidates)])
+        k, draws = self.parameters, self.draws if null else 0
+        s, cj, cc = (np.zeros((first[-1], c, *more)) for more in ((), (k,), (c,)))
+        s_null = np.zeros((first[-1], c, draws), np.float32)
+        most = np.zeros((first[-1], c))
+        through: dict[tuple[int, tuple[int, ...]], list[tuple[np.ndarray, np.ndarray]]] = {}
+        for begin, (size, moved) in zip(first[:-1], candidates, strict=True):
+            rows = np.arange(begin, begin + size)
+            for port, a, phi in moved:
+                through.setdefault((port, a), []).append((rows, phi))
+            for (p, a, fa), (q, b, fb) in itertools.combinations_with_replacement(moved, 2):
+                both = (fa * self.both(p, q)) @ fb.transpose(0, 2, 1)
+                at = rows[:, None, None]
+                cc[at, np.array(a)[:, None], np.array(b)] += both
+                if p != q:
+                    cc[at, np.array(b)[:, None], np.array(a)] += both.transpose(0, 2, 1)
+        # All responses through the same port are one matrix product, whichever effect they belong
+        # to.
+        joined = []
+        for (_, a), parts in through.items():
+            at = np.concatenate([rows for rows, _ in parts])[:, None], np.array(a)
+            phi = np.concatenate([phi for _, phi in parts]) if len(parts) > 1 else parts[0][1]
+            most[at] += self.reach * (self.weights * phi**2).sum(2)
+            joined.append((at, phi.shape[:2], phi.reshape(-1, phi.shape[2])))
+        ports = list(dict.fromkeys(port for port, _ in through))
+        for rows, projected in self.projected(ports):
+            on = dict(zip(ports, projected, strict=True))
+            for (port, _), (at, shape, whole) in zip(through, joined, strict=True):
+                (r, drawn, j), flat = on[port], whole[:, rows]
+                s[at] += (flat @ r).reshape(shape)
+                cj[at] += (flat @ j).reshape(*shape, k)
+                if null:
+                    s_null[at] += (flat.astype(np.float32) @ drawn).reshape(*shape, draws)
+        return Sums(s, cj, cc, s_null, most)
+
+
+class EveryRow(Rows):
+    """All rows (n), each with m readings.
+
+    `ports` (n, m, p): whitened derivatives by the ports; `residual` (n, m), `null` (n, m, draws)
+    and `jacobian` (n, m, k): what is projected on them.
+    """
+
+    def __init__(
+        self, ports: np.ndarray, residual: np.ndarray, null: np.ndarray, jacobian: np.ndarray
+    ):
+        self.ports, self.residual, self.null, self.jacobian = ports, residual, null, jacobian
+        self.reach = float((ports**2).sum(1).max(initial=0.0))
+        self.parameters, self.draws = jacobian.shape[2], null.shape[2]
+        self.weights = np.ones(1)
+        one = len(ports) * (8 + 4 * self.draws + 8 * self.parameters)
+        self.kept: dict[int, Projected] | None = {} if one * ports.shape[2] <= _ROOM else None
+        self._products: dict[tuple[int, int], np.ndarray] = {}
+        self._alike: dict[bytes, tuple[np.ndarray, AlikeRows]] = {}
+
+    def projected(
+        self, ports: Sequence[int], size: int = 0
+    ) -> Iterator[tuple[slice, list[Projected]]]:
+        """The projections on these ports: of all rows where they are kept, otherwise of blocks of
+        `size` rows.
+        """
+        n, size = len(self.ports), size or _BLOCK_ROWS
+        if self.kept is not None:
+            yield slice(0, n), [self._once(port, self.kept) for port in ports]
+            return
+        for begin in range(0, n, size):
+            rows = slice(begin, min(begin + size, n))
+            g = np.ascontiguousarray(self.ports[rows][:, :, ports].transpose(0, 2, 1))
+            r = np.einsum("npm,nm->pn", g, self.residual[rows])
+            drawn = (g.astype(np.float32) @ self.null[rows]).transpose(1, 0, 2)
+            j = (g @ self.jacobian[rows]).transpose(1, 0, 2)
+            yield rows, [Projected(*one) for one in zip(r, drawn, j, strict=True)]
+
+    def _once(self, port: int, kept: dict[int, Projected]) -> Projected:
+        if port not in kept:
+            g = self.ports[:, :, port]
+            kept[port] = Projected(
+                np.einsum("nm,nm->n", g, self.residual),
+                np.einsum("nm,nmd->nd", g.astype(np.float32), self.null, optimize=True),
+                np.einsum("nm,nmk->nk", g, self.jacobian, optimize=True),
+            )
+        return kept[port]
+
+    def both(self, p: int, q: int) -> np.ndarray:
+        if (p, q) not in self._products:
+            self._products[p, q] = np.einsum("nm,nm->n", self.ports[:, :, p], self.ports[:, :, q])
+        return self._products[p, q]
+
+    def alike(self, columns: Sequence[np.ndarray]) -> "tuple[np.ndarray, AlikeRows] | None":
+        """Groups of rows that are equal in all columns (n), with one row (groups) of each; None
+        where there are too many groups to save time.
+        """
+        if not columns:
+            return None
+        labels = np.zeros(len(self.ports), int)
+        for column in columns:
+            one = np.unique(column, return_inverse=True)[1]
+            labels = np.unique(labels * (one.max() + 1) + one, return_inverse=True)[1]
+        if labels.max() >= min(_FEW, len(labels) // 4):
+            return None
+        key = labels.tobytes()
+        if key not in self._alike:
+            members = np.unique(labels, return_index=True)[1]
+            self._alike[key] = members, AlikeRows(self, labels)
+        return self._alike[key]
+
+    def tone_sums(self, port: int, tones: Tones, sizes: Sequence[float]) -> Sums:
+        """Sums of the sines and the cosines on one port at all frequencies of a scan, in units
+        `sizes` of their two amplitudes.
+        """
+        n = len(self.ports)
+        x, first, step, count = tones
+        waves = EqualFrequencies(x, first, step, count)
+        quick = EqualFrequencies(x, first, step, count, single=True)
+        twice = EqualFrequencies(x, 2.0 * first, 2.0 * step, count)
+        grid = np.zeros((waves.size, 1 + self.parameters))
+        drawn_grid = np.zeros((quick.size, self.draws), np.float32)
+        for rows, ((r, drawn, j),) in self.projected([port], _LARGE_BLOCK):
+            grid += waves.spread(rows, np.column_stack([r, j]))
+            drawn_grid += quick.spread(rows, drawn)
+        both = np.column_stack([self.both(port, port), np.ones(n)])
+        double = twice.sums(twice.spread(slice(0, n), both))
+        real, imaginary = np.real(double), np.imag(double)
+        size = np.array(sizes)
+
+        def parts(sums: np.ndarray) -> np.ndarray:
+            """Of the sines and the cosines (count, 2, c)."""
+            return np.stack([np.imag(sums), np.real(sums)], axis=1) * size[:, None]
+
+        found = parts(waves.sums(grid))
+        null = parts(quick.sums(drawn_grid)).astype(np.float32)
+        # sin^2 = (1 - cos 2) / 2, cos^2 = (1 + cos 2) / 2, sin cos = (sin 2) / 2.
+        half = 0.5 * np.stack([-real, real], axis=1)
+        squares = (half + 0.5 * both.sum(0)) * size[:, None] ** 2
+        cc = np.empty((count, 2, 2))
+        cc[:, [0, 1], [0, 1]] = squares[:, :, 0]
+        cc[:, [0, 1], [1, 0]] = 0.5 * size.prod() * imaginary[:, :1]
+        return Sums(found[:, :, 0], found[:, :, 1:], cc, null, self.reach * squares[:, :, 1])
+
+
+class AlikeRows(Rows):
+    """Groups of rows in which a candidate moves the ports alike, `labels` (n): 0, 1, ... .
+
+    The sum over the rows of phi'x, with phi the same in a group, is that over the groups of phi and
+    the group's sum of x.
+    """
+
+    def __init__(self, every: EveryRow, labels: np.ndarray):
+        self._every, self._labels = every, labels
+        self.reach, self.parameters, self.draws = every.reach, every.parameters, every.draws
+        self.weights = np.bincount(labels).astype(float)
+        self._sums: dict[int, Projected] = {}
+        self._products: dict[tuple[int, int], np.ndarray] = {}
+
+    def projected(self, ports: Sequence[int]) -> Iterator[tuple[slice, list[Projected]]]:
+        yield slice(0, len(self.weights)), [self._of(port) for port in ports]
+
+    def _of(self, port: int) -> Projected:
+        if port not in self._sums:
+            groups, every = len(self.weights), self._every
+            sums = np.zeros((groups, 1 + every.parameters))
+            null = np.zeros((groups, every.draws), np.float32)
+            for rows, ((r, drawn, j),) in every.projected([port], _LARGE_BLOCK):
+                labels = self._labels[rows]
+                entries = np.ones(len(labels), np.float32), labels, np.arange(len(labels) + 1)
+                gathered = csr_matrix(entries, shape=(len(labels), groups)).T
+                sums += gathered.astype(float) @ np.column_stack([r, j])
+                null += gathered @ drawn
+            self._sums[port] = Projected(sums[:, 0], null, sums[:, 1:])
+        return self._sums[port]
+
+    def both(self, p: int, q: int) -> np.ndarray:
+        if (p, q) not in self._products:
+            self._products[p, q] = np.bincount(self._labels, self._every.both(p, q))
+        return self._products[p, q]
