@@ -66,7 +66,7 @@ def learned_sizes(fit: Fit, group: Callable[[str], str] = _own_name) -> dict[str
                 groups.setdefault(names[name], []).append(k)
             k += 1
     target = fit.whitened + fit.jacobian @ fit.theta
-    normal, pull = fit.jacobian.T @ fit.jacobian, fit.jacobian.T @ target
+    normal, pull = fit.normal, fit.jacobian.T @ target
     factors = np.ones(len(fit.theta))
     for _ in range(_ROUNDS):
         h = normal * factors[:, None] * factors + np.diag(fit.precision)

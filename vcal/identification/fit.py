@@ -250,9 +250,14 @@ class Fit:
         return float(self.whitened @ self.whitened)
 
     @cached_property
+    def normal(self) -> np.ndarray:
+        """J'J (k, k), the matrix of the normal equations without the prior."""
+        return self.jacobian.T @ self.jacobian
+
+    @cached_property
     def dof(self) -> float:
         """Effective degrees of freedom: number of readings minus tr(J H^-1 J')."""
-        hat = np.trace(cho_solve(self.factor, self.jacobian.T @ self.jacobian))
+        hat = np.trace(cho_solve(self.factor, self.normal))
         return float(self.counted.sum() - hat)
 
     def chi2_and_dof(self, rows: np.ndarray) -> tuple[float, float]:
@@ -355,15 +360,15 @@ class Fit:
         """
         step, k = np.zeros(len(self.theta)), len(self.model.entries)
         if noise_scale != 1.0:
-            jacobian, precision = self.jacobian[:, :k] / noise_scale, self.precision[:k]
-            h = jacobian.T @ jacobian + np.diag(precision)
-            uphill = jacobian.T @ self.whitened / noise_scale - precision * self.theta[:k]
+            s2, precision = noise_scale**2, self.precision[:k]
+            h = self.normal[:k, :k] / s2 + np.diag(precision)
+            uphill = self.jacobian[:, :k].T @ self.whitened / s2 - precision * self.theta[:k]
             step[:k] = np.linalg.solve(h, uphill)
         return step
 
     def hessian(self, noise_scale: float = 1.0) -> np.ndarray:
         """H = J'J / s^2 + L (k, k), with L from `within_scans`."""
-        return self.jacobian.T @ self.jacobian / noise_scale**2 + np.diag(self.within_scans)
+        return self.normal / noise_scale**2 + np.diag(self.within_scans)
 
     def log_scan(self, place: int, h: np.ndarray) -> float:
         """Contribution of the shape parameters of the effect at `place` to the log evidence with

@@ -14,7 +14,7 @@ freedom that the parameters take (Searle, Casella, McCulloch 1992, ch. 8; Forstn
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import cho_factor, cho_solve
 from scipy.special import gammaincc
 
 from ...identification.fit import Fit
@@ -114,6 +114,14 @@ def _stretched(fit: Fit) -> float:
     return max(1.0, float(fit.theta**2 @ fit.precision) / max(informed, 1))
 
 
+def _times(matrices: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """The matrices (n, m, m) of all rows, which are mostly diagonal, times columns (n, m, k)."""
+    diagonal = np.einsum("nii->ni", matrices)
+    if np.count_nonzero(matrices) == np.count_nonzero(diagonal):
+        return diagonal[:, :, None] * columns
+    return matrices @ columns
+
+
 @dataclass(frozen=True)
 class _Problem:
     """The linearised fit: residual = data - J delta, with the prior of the parameters."""
@@ -126,7 +134,7 @@ class _Problem:
 
     def _solved(self, covariance: np.ndarray):
         inverse = np.linalg.inv(covariance)
-        weighted = inverse @ self.jacobian
+        weighted = _times(inverse, self.jacobian)
         size = len(self.theta)
         flat, rows = self.jacobian.reshape(-1, size), weighted.reshape(-1, size)
         factor = cho_factor(flat.T @ rows + np.diag(self.precision))
@@ -141,13 +149,12 @@ class _Problem:
         inverse, weighted, factor, error, theta = self._solved(covariance)
         turned = (inverse @ error[:, :, None])[:, :, 0]
         rows = weighted.reshape(-1, len(theta))
-        # P = V^-1 - (V^-1 J R)(V^-1 J R)' with R R' = H^-1.
-        root = solve_triangular(factor[0], rows.T, lower=factor[1], trans=not factor[1]).T
-        root = root.reshape(weighted.shape)
         squares, trace = [], []
         for part in each:
             squares.append((turned * (part @ turned[:, :, None])[:, :, 0]).sum())
-            trace.append((inverse * part).sum() - (root * (part @ root)).sum())
+            # tr(P V_c) with P = V^-1 - (V^-1 J) H^-1 (V^-1 J)'.
+            inside = rows.T @ _times(part, weighted).reshape(rows.shape)
+            trace.append((inverse * part).sum() - np.trace(cho_solve(factor, inside)))
         likelihood = -0.5 * (
             np.linalg.slogdet(covariance)[1].sum()
             + 2.0 * np.log(np.diag(factor[0])).sum()

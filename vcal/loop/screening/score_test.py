@@ -98,7 +98,7 @@ class ScoreTest:
         self.fit = fit
         self.responses = Responses(fit.measurement.plan, 0) if responses is None else responses
         n, m = fit.residual.shape
-        self.factor = cho_factor(fit.jacobian.T @ fit.jacobian + np.diag(_free(fit)))
+        self.factor = cho_factor(fit.normal + np.diag(_free(fit)))
         # A shape parameter at the end of its grid would move further. What that bound leaves in the
         # residual must not be attributed to a candidate.
         uphill = fit.jacobian.T @ fit.whitened - fit.precision * fit.theta

@@ -140,9 +140,9 @@ def _seen(
     """Information and scores of some entries of theta, the others of the first k eliminated."""
     mine = np.arange(k)[entries]
     others = np.setdiff1d(np.arange(k), mine)
-    whitened, prior = fit.jacobian[:, :k] / noise_scale, fit.within_scans[:k]
-    own = whitened[:, mine]
-    left = _eliminated(whitened[:, others], prior[others], own) if len(others) else own
+    prior = fit.within_scans[:k]
+    own = fit.jacobian[:, mine] / noise_scale
+    left = _eliminated(fit, others, prior[others], own, noise_scale) if len(others) else own
     within = np.diag(prior[mine])
     precision = left.T @ left + within
     values, vectors = eigh(precision - np.diag(fit.precision[mine]))
@@ -155,19 +155,26 @@ def _seen(
     return np.where(seen, values, 0.0), np.where(seen, scores, 0.0)
 
 
-def _eliminated(others: np.ndarray, prior: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """What parameters with these Jacobian and prior precisions leave of the columns `own`, with the
+def _eliminated(
+    fit: Fit, others: np.ndarray, prior: np.ndarray, own: np.ndarray, noise_scale: float
+) -> np.ndarray:
+    """What the parameters `others` with these prior precisions leave of the columns `own`, with the
     rows of their prior beneath: the residual of least squares.
 
     The normal equations lose half of the digits. A second step from the residual restores them
     (corrected seminormal equations: Bjorck, Numerical Methods for Least Squares Problems, 1996,
     6.6.5).
     """
-    scale = 1.0 / np.sqrt((others**2).sum(0) + prior)
-    scaled, root = others * scale, np.sqrt(prior) * scale
-    factor = np.linalg.cholesky(scaled.T @ scaled + np.diag(root**2)), True
+    normal = fit.normal[np.ix_(others, others)] / noise_scale**2 + np.diag(prior)
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    factor = np.linalg.cholesky(scale[:, None] * normal * scale), True
+    root = np.sqrt(prior) * scale
     left, beneath = own, np.zeros((len(prior), own.shape[1]))
+    # The Jacobian is taken whole: its columns without `own` would be a copy of it.
+    every = np.zeros((fit.jacobian.shape[1], own.shape[1]))
     for _ in range(2):
-        step = cho_solve(factor, scaled.T @ left + root[:, None] * beneath)
-        left, beneath = left - scaled @ step, beneath - root[:, None] * step
+        onto = (fit.jacobian.T @ left)[others] * (scale / noise_scale)[:, None]
+        step = cho_solve(factor, onto + root[:, None] * beneath)
+        every[others] = (scale / noise_scale)[:, None] * step
+        left, beneath = left - fit.jacobian @ every, beneath - root[:, None] * step
     return np.concatenate([left, beneath])

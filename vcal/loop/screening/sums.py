@@ -25,6 +25,9 @@ _BLOCK_ROWS = 512
 _FEW, _LARGE_BLOCK = 512, 8_192
 """Most groups of alike rows, and rows of a block while they are summed."""
 
+_CACHED = 2**16
+"""Numbers that stay in the cache."""
+
 Moved = list[tuple[int, tuple[int, ...], np.ndarray]]
 """(port, amplitudes that act on it (a), displacement in solver units (g, a, n)) of every port."""
 
@@ -94,7 +97,7 @@ class Rows(abc.ABC):
             for port, a, phi in moved:
                 through.setdefault((port, a), []).append((rows, phi))
             for (p, a, fa), (q, b, fb) in itertools.combinations_with_replacement(moved, 2):
-                both = (fa * self.both(p, q)) @ fb.transpose(0, 2, 1)
+                both = _inner(fa, fb, self.both(p, q))
                 at = rows[:, None, None]
                 cc[at, np.array(a)[:, None], np.array(b)] += both
                 if p != q:
@@ -105,7 +108,7 @@ class Rows(abc.ABC):
         for (_, a), parts in through.items():
             at = np.concatenate([rows for rows, _ in parts])[:, None], np.array(a)
             phi = np.concatenate([phi for _, phi in parts]) if len(parts) > 1 else parts[0][1]
-            most[at] += self.reach * (self.weights * phi**2).sum(2)
+            most[at] += self.reach * np.einsum("gaa->ga", _inner(phi, phi, self.weights))
             joined.append((at, phi.shape[:2], phi.reshape(-1, phi.shape[2])))
         ports = list(dict.fromkeys(port for port, _ in through))
         for rows, projected in self.projected(ports):
@@ -117,6 +120,16 @@ class Rows(abc.ABC):
                 if null:
                     s_null[at] += (flat.astype(np.float32) @ drawn).reshape(*shape, draws)
         return Sums(s, cj, cc, s_null, most)
+
+
+def _inner(a: np.ndarray, b: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Sums (g, a, b) over the rows of a (g, a, n) times b (g, b, n) times weights; of as many steps
+    at a time as stay in the cache of the processor.
+    """
+    few = max(1, _CACHED // max(a[0].size, 1)) if len(a) else 1
+    parts = [slice(i, i + few) for i in range(0, len(a), few)]
+    found = [(a[part] * weights) @ b[part].transpose(0, 2, 1) for part in parts]
+    return np.concatenate(found) if found else np.zeros((0, a.shape[1], b.shape[1]))
 
 
 class EveryRow(Rows):

@@ -77,7 +77,7 @@ def heldout_residuals(fit: Fit) -> np.ndarray:
     found = np.full((n, m), np.nan)
     found[apart] = fit.residual[apart]
     jacobian = fit.jacobian.reshape(n, m, -1)
-    total = fit.jacobian.T @ fit.jacobian
+    total = fit.normal
     # A shape parameter that only this fold determines stays within its grid.
     precision = fit.within_scans
     whitened = (fit.whitened - fit.jacobian @ _left(fit, total, precision)).reshape(n, m)
@@ -355,7 +355,7 @@ def log_predictive_density(fit: Fit, noise: float = 1.0) -> PredictiveDensity:
     total = np.einsum("nmk,nml->kl", jacobian, jacobian, optimize=True)
     precision = fit.within_scans
     # The fit is the minimum at its own noise, not at `noise` times that.
-    step = fit.step_at(noise) + _left(fit, fit.jacobian.T @ fit.jacobian, precision)
+    step = fit.step_at(noise) + _left(fit, fit.normal, precision)
     whitened = whitened - jacobian @ step
     squares: list[float] = []
     volumes: list[float] = []
