@@ -174,7 +174,7 @@ class _Steps:
         """Number of parameters of every candidate, without the constant part of a free reference
         value."""
         self._columns = np.concatenate([np.zeros((n, 0)), *blocks], 1)
-        self._half = state.whitening.T @ (state.jacobian.reshape(n, -1).T @ self._columns)
+        self._half = state.whitening.T @ (state.fit.jacobian.T @ self._columns)
         count, widest = len(self._at), max(amplitudes, default=1)
         self.places = np.zeros((count, widest), int)
         self.roots, self._vectors = np.zeros((2, count, widest, widest))

@@ -74,14 +74,24 @@ class Responses:
     def __init__(self, plan: Plan, room: int = _ROOM):
         self.plan, self._room = plan, room
         self._kept: dict[tuple, Response] = {}
-        self._parts: dict[bytes, Responses] = {}
+        self._groups: dict[bytes, Responses] = {}
+        self._blocks: dict[tuple[int, int], Responses] = {}
 
     def at(self, rows: np.ndarray) -> "Responses":
-        """Responses of some rows only."""
+        """Responses of some rows only, by their numbers."""
         key = rows.tobytes()
-        if key not in self._parts:
-            self._parts[key] = Responses(self.plan.take(rows), self._room)
-        return self._parts[key]
+        if key not in self._groups:
+            self._groups[key] = Responses(self.plan.take(rows), self._room)
+        return self._groups[key]
+
+    def of_rows(self, rows: slice) -> "Responses":
+        """Responses of a block of rows, which are not cached; the whole plan is itself."""
+        if rows.stop - rows.start >= self.plan.rows:
+            return self
+        key = rows.start, rows.stop
+        if key not in self._blocks:
+            self._blocks[key] = Responses(self.plan.take(rows), 0)
+        return self._blocks[key]
 
     def of(self, effect: Effect, grid: Mapping[str, np.ndarray]) -> Response:
         """Response to an effect at the values `grid` (g,) of its shape parameters, SI; g = 1 where

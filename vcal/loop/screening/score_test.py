@@ -23,7 +23,7 @@ from ...numerics.eigen import eigh
 from .responses import Response, Responses, Scan, filled
 from .significance import SILENT, minus_log_beta_tail
 from .size_evidence import log_mixture, size_allowance, size_surplus
-from .sums import EveryRow, Moved, Rows, Sums
+from .sums import EveryRow, Moved, Moving, Rows, Sums
 
 _RESOLVED = 1e-5
 """Least share of a candidate's columns that must be independent of the model. A smaller share may
@@ -194,11 +194,13 @@ class ScoreTest:
                     batches.setdefault(id(over), (over, responses, []))[2].append((i, scans[i]))
             for over, responses, some in batches.values():
                 for together in filled(some, _CHUNK // amplitudes or 1):
-                    moved = [
-                        (rows.stop - rows.start, responses.scanned(effects[i], scans[i], rows))
-                        for i, rows in together
+                    sizes = [steps.stop - steps.start for _, steps in together]
+                    moving = [
+                        self._scanned(responses, effects[i], scans[i], steps)
+                        for i, steps in together
                     ]
-                    drops = self._drops(amplitudes, moved, over)
+                    sums = over.sums(amplitudes, list(zip(sizes, moving, strict=True)))
+                    drops = self._dropped(sizes, sums)
                     for (i, _), found in zip(together, drops, strict=True):
                         own[i].append(found)
             whole = [Drops.joined(own[i]) for i in members]
@@ -275,8 +277,19 @@ class ScoreTest:
 
     def _at(self, effect: Effect, grid: Mapping[str, np.ndarray]) -> "Drops":
         """Drops for the data alone, without the null residuals."""
-        size, response = len(next(iter(grid.values()))), self.responses.of(effect, grid)
-        return self._drops(len(effect.amplitudes), [(size, response)], self.rows, null=False)[0]
+        size = len(next(iter(grid.values())))
+        sums = self.rows.sums(
+            len(effect.amplitudes), [(size, self._moving(effect, grid))], null=False
+        )
+        return self._dropped([size], sums, null=False)[0]
+
+    def _moving(self, effect: Effect, grid: Mapping[str, np.ndarray]) -> Moving:
+        """What an effect moves at these values of its shape parameters."""
+        return lambda rows: self._ports(self.responses.of_rows(rows).of(effect, grid))
+
+    def _scanned(self, responses: Responses, effect: Effect, scan: Scan, steps: slice) -> Moving:
+        """The same at some steps of its grid, by these responses."""
+        return lambda rows: self._ports(responses.of_rows(rows).scanned(effect, scan, steps))
 
     def _rows_of(self, effect: Effect) -> tuple[Rows, Responses]:
         """What the scan of an effect is summed over, and the responses there: all rows, or groups
@@ -307,23 +320,8 @@ class ScoreTest:
         if len(faint):
             scan = Scan.of(effect, self.fit.measurement.plan)
             grid = {name: scan.mesh[faint, i] for i, name in enumerate(scan.names)}
-            exact = self._ports(self.responses.of(effect, grid))
-            sums.replace(faint, self.rows.sums(2, [(len(faint), exact)]))
+            sums.replace(faint, self.rows.sums(2, [(len(faint), self._moving(effect, grid))]))
         return sums
-
-    def _drops(
-        self,
-        c: int,
-        responses: Sequence[tuple[int, Response]],
-        over: Rows,
-        null: bool = True,
-    ) -> list["Drops"]:
-        """Drops of effects with `c` amplitudes, each given as its number of steps and its response
-        there.
-        """
-        sizes = [size for size, _ in responses]
-        moved = [(size, self._ports(response)) for size, response in responses]
-        return self._dropped(sizes, over.sums(c, moved, null), null=null)
 
     def _dropped(self, sizes: Sequence[int], sums: Sums, *, null: bool = True) -> list["Drops"]:
         """Drops of effects with these numbers of steps, from the sums over the rows."""

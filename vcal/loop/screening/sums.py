@@ -7,7 +7,7 @@ projections g'r, g'J and g'r* serve all candidates on it.
 
 import abc
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,10 +18,10 @@ from ...numerics.equal_frequencies import EqualFrequencies
 
 _ROOM = 2**28
 """Most bytes of projections on ports that are kept. Those of a larger plan are made again for a
-block of rows at a time, so that the memory does not grow with rows, ports and null residuals
-together."""
-_BLOCK_ROWS = 512
-"""Rows of such a block: its null residuals stay in the cache of the processor."""
+block of rows at a time, as are the responses, so that the memory does not grow with rows, ports,
+steps and null residuals together."""
+_BLOCK_ROWS = 4_096
+"""Rows of such a block."""
 _FEW, _LARGE_BLOCK = 512, 8_192
 """Most groups of alike rows, and rows of a block while they are summed."""
 
@@ -30,6 +30,8 @@ _CACHED = 2**16
 
 Moved = list[tuple[int, tuple[int, ...], np.ndarray]]
 """(port, amplitudes that act on it (a), displacement in solver units (g, a, n)) of every port."""
+Moving = Callable[[slice], Moved]
+"""What a candidate moves in some rows."""
 
 
 class Sums(NamedTuple):
@@ -46,6 +48,14 @@ class Sums(NamedTuple):
     most: np.ndarray
     """What C'C would be if every displacement moved the readings as much as the port that moves
     them most (g, c)."""
+
+    @classmethod
+    def zeros(cls, g: int, c: int, k: int, draws: int) -> "Sums":
+        """Sums over no rows."""
+        null = np.zeros((g, c, draws), np.float32)
+        return cls(
+            np.zeros((g, c)), np.zeros((g, c, k)), np.zeros((g, c, c)), null, np.zeros((g, c))
+        )
 
     def replace(self, at: np.ndarray, by: "Sums") -> None:
         """Put other sums in place of those at the steps `at`."""
@@ -75,51 +85,56 @@ class Rows(abc.ABC):
     draws: int
 
     @abc.abstractmethod
-    def projected(self, ports: Sequence[int]) -> Iterator[tuple[slice, list[Projected]]]:
-        """The projections on these ports, of one block of rows after the other."""
+    def blocks(self) -> list[slice]:
+        """The rows in the blocks in which they are summed."""
+
+    @abc.abstractmethod
+    def projected(self, rows: slice, ports: Sequence[int]) -> list[Projected]:
+        """The projections of the rows of a block on these ports."""
 
     @abc.abstractmethod
     def both(self, p: int, q: int) -> np.ndarray:
         """Inner product (n) of the whitened responses of the readings to two ports."""
 
-    def sums(self, c: int, candidates: Sequence[tuple[int, Moved]], null: bool = True) -> Sums:
+    def sums(self, c: int, candidates: Sequence[tuple[int, Moving]], null: bool = True) -> Sums:
         """Sums of candidates with `c` amplitudes, each given as its number of steps and what it
         moves there.
         """
         first = np.cumsum([0, *(size for size, _ in candidates)])
-        k, draws = self.parameters, self.draws if null else 0
-        s, cj, cc = (np.zeros((first[-1], c, *more)) for more in ((), (k,), (c,)))
-        s_null = np.zeros((first[-1], c, draws), np.float32)
-        most = np.zeros((first[-1], c))
+        found = Sums.zeros(first[-1], c, self.parameters, self.draws if null else 0)
+        for rows in self.blocks():
+            moved = [moving(rows) for _, moving in candidates]
+            self._add(found, rows, list(zip(first[:-1], first[1:], moved, strict=True)))
+        return found
+
+    def _add(self, sums: Sums, rows: slice, of: Sequence[tuple[int, int, Moved]]) -> None:
+        """Add the sums over one block of rows; of steps from the first number up to the second."""
+        k, draws = sums.jacobian.shape[2], sums.null.shape[2]
         through: dict[tuple[int, tuple[int, ...]], list[tuple[np.ndarray, np.ndarray]]] = {}
-        for begin, (size, moved) in zip(first[:-1], candidates, strict=True):
-            rows = np.arange(begin, begin + size)
+        for begin, end, moved in of:
+            steps = np.arange(begin, end)
             for port, a, phi in moved:
-                through.setdefault((port, a), []).append((rows, phi))
+                through.setdefault((port, a), []).append((steps, phi))
             for (p, a, fa), (q, b, fb) in itertools.combinations_with_replacement(moved, 2):
-                both = _inner(fa, fb, self.both(p, q))
-                at = rows[:, None, None]
-                cc[at, np.array(a)[:, None], np.array(b)] += both
+                both = _inner(fa, fb, self.both(p, q)[rows])
+                at = steps[:, None, None]
+                sums.squares[at, np.array(a)[:, None], np.array(b)] += both
                 if p != q:
-                    cc[at, np.array(b)[:, None], np.array(a)] += both.transpose(0, 2, 1)
+                    sums.squares[at, np.array(b)[:, None], np.array(a)] += both.transpose(0, 2, 1)
         # All responses through the same port are one matrix product, whichever effect they belong
         # to.
-        joined = []
-        for (_, a), parts in through.items():
-            at = np.concatenate([rows for rows, _ in parts])[:, None], np.array(a)
-            phi = np.concatenate([phi for _, phi in parts]) if len(parts) > 1 else parts[0][1]
-            most[at] += self.reach * np.einsum("gaa->ga", _inner(phi, phi, self.weights))
-            joined.append((at, phi.shape[:2], phi.reshape(-1, phi.shape[2])))
         ports = list(dict.fromkeys(port for port, _ in through))
-        for rows, projected in self.projected(ports):
-            on = dict(zip(ports, projected, strict=True))
-            for (port, _), (at, shape, whole) in zip(through, joined, strict=True):
-                (r, drawn, j), flat = on[port], whole[:, rows]
-                s[at] += (flat @ r).reshape(shape)
-                cj[at] += (flat @ j).reshape(*shape, k)
-                if null:
-                    s_null[at] += (flat.astype(np.float32) @ drawn).reshape(*shape, draws)
-        return Sums(s, cj, cc, s_null, most)
+        on = dict(zip(ports, self.projected(rows, ports), strict=True))
+        for (port, a), parts in through.items():
+            at = np.concatenate([steps for steps, _ in parts])[:, None], np.array(a)
+            phi = np.concatenate([phi for _, phi in parts]) if len(parts) > 1 else parts[0][1]
+            squares = np.einsum("gaa->ga", _inner(phi, phi, self.weights[rows]))
+            sums.most[at] += self.reach * squares
+            (r, drawn, j), shape, flat = on[port], phi.shape[:2], phi.reshape(-1, phi.shape[2])
+            sums.residual[at] += (flat @ r).reshape(shape)
+            sums.jacobian[at] += (flat @ j).reshape(*shape, k)
+            if draws:
+                sums.null[at] += (flat.astype(np.float32) @ drawn).reshape(*shape, draws)
 
 
 def _inner(a: np.ndarray, b: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -145,29 +160,26 @@ class EveryRow(Rows):
         self.ports, self.residual, self.null, self.jacobian = ports, residual, null, jacobian
         self.reach = float((ports**2).sum(1).max(initial=0.0))
         self.parameters, self.draws = jacobian.shape[2], null.shape[2]
-        self.weights = np.ones(1)
+        self.weights = np.ones(len(ports))
         one = len(ports) * (8 + 4 * self.draws + 8 * self.parameters)
         self.kept: dict[int, Projected] | None = {} if one * ports.shape[2] <= _ROOM else None
         self._products: dict[tuple[int, int], np.ndarray] = {}
         self._alike: dict[bytes, tuple[np.ndarray, AlikeRows]] = {}
 
-    def projected(
-        self, ports: Sequence[int], size: int = 0
-    ) -> Iterator[tuple[slice, list[Projected]]]:
-        """The projections on these ports: of all rows where they are kept, otherwise of blocks of
-        `size` rows.
-        """
-        n, size = len(self.ports), size or _BLOCK_ROWS
+    def blocks(self, size: int = 0) -> list[slice]:
+        """All rows together where their projections are kept, otherwise `size` at a time."""
+        n = len(self.ports)
+        size = n if self.kept is not None else size or _BLOCK_ROWS
+        return [slice(i, min(i + size, n)) for i in range(0, n, max(size, 1))]
+
+    def projected(self, rows: slice, ports: Sequence[int]) -> list[Projected]:
         if self.kept is not None:
-            yield slice(0, n), [self._once(port, self.kept) for port in ports]
-            return
-        for begin in range(0, n, size):
-            rows = slice(begin, min(begin + size, n))
-            g = np.ascontiguousarray(self.ports[rows][:, :, ports].transpose(0, 2, 1))
-            r = np.einsum("npm,nm->pn", g, self.residual[rows])
-            drawn = (g.astype(np.float32) @ self.null[rows]).transpose(1, 0, 2)
-            j = (g @ self.jacobian[rows]).transpose(1, 0, 2)
-            yield rows, [Projected(*one) for one in zip(r, drawn, j, strict=True)]
+            return [self._once(port, self.kept) for port in ports]
+        g = np.ascontiguousarray(self.ports[rows][:, :, ports].transpose(0, 2, 1))
+        r = np.einsum("npm,nm->pn", g, self.residual[rows])
+        drawn = (g.astype(np.float32) @ self.null[rows]).transpose(1, 0, 2)
+        j = (g @ self.jacobian[rows]).transpose(1, 0, 2)
+        return [Projected(*one) for one in zip(r, drawn, j, strict=True)]
 
     def _once(self, port: int, kept: dict[int, Projected]) -> Projected:
         if port not in kept:
@@ -213,7 +225,8 @@ class EveryRow(Rows):
         twice = EqualFrequencies(x, 2.0 * first, 2.0 * step, count)
         grid = np.zeros((waves.size, 1 + self.parameters))
         drawn_grid = np.zeros((quick.size, self.draws), np.float32)
-        for rows, ((r, drawn, j),) in self.projected([port], _LARGE_BLOCK):
+        for rows in self.blocks(_LARGE_BLOCK):
+            ((r, drawn, j),) = self.projected(rows, [port])
             grid += waves.spread(rows, np.column_stack([r, j]))
             drawn_grid += quick.spread(rows, drawn)
         both = np.column_stack([self.both(port, port), np.ones(n)])
@@ -250,15 +263,20 @@ class AlikeRows(Rows):
         self._sums: dict[int, Projected] = {}
         self._products: dict[tuple[int, int], np.ndarray] = {}
 
-    def projected(self, ports: Sequence[int]) -> Iterator[tuple[slice, list[Projected]]]:
-        yield slice(0, len(self.weights)), [self._of(port) for port in ports]
+    def blocks(self) -> list[slice]:
+        return [slice(0, len(self.weights))]
+
+    def projected(self, rows: slice, ports: Sequence[int]) -> list[Projected]:
+        del rows
+        return [self._of(port) for port in ports]
 
     def _of(self, port: int) -> Projected:
         if port not in self._sums:
             groups, every = len(self.weights), self._every
             sums = np.zeros((groups, 1 + every.parameters))
             null = np.zeros((groups, every.draws), np.float32)
-            for rows, ((r, drawn, j),) in every.projected([port], _LARGE_BLOCK):
+            for rows in every.blocks(_LARGE_BLOCK):
+                ((r, drawn, j),) = every.projected(rows, [port])
                 labels = self._labels[rows]
                 entries = np.ones(len(labels), np.float32), labels, np.arange(len(labels) + 1)
                 gathered = csr_matrix(entries, shape=(len(labels), groups)).T
