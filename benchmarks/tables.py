@@ -28,7 +28,7 @@ COMMANDS = {
     "power": "power.py --sets 20 --jobs 2 --minutes 60",
     "power_fresh": "power.py --own-machines --first-seed 400000 --sets 3 --multiples 3 5",
     "power_new": "power.py --own-machines --first-seed 400000 --sets 3 --multiples 3 5",
-    "smallest_sizes": "smallest_sizes.py --first-seed 400000 --sets 24",
+    "smallest_sizes": "smallest_sizes.py --first-seed 600000 --sets 24",
     "several": "several.py --sets 20 --jobs 2 --minutes 60",
     "declared_sizes": "declared_sizes.py --first-seed 400000 --sets 50",
     "large_sizes": "large_sizes.py --first-seed 400000 --sets 1",
