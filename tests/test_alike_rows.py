@@ -1,9 +1,12 @@
 """Rows that respond alike to a candidate, and are summed together in the screening of a plan."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 import vcal
+from joint import write_joint
 from oracle import make_case, write_study
 from vcal.effects import CATALOGUE
 from vcal.loop.empirical.position import Kink, LocalBump
@@ -66,6 +69,28 @@ def test_the_tails_of_a_bump_are_zero(fit):
     ((_, _, phi),) = state.responses.of(bumps[0], narrow)
     assert np.count_nonzero(phi) < phi.size
     assert np.abs(phi[phi != 0.0]).min() >= 1e-30
+
+
+def test_blocks_of_rows_add_up_in_several_data_sets(tmp_path, monkeypatch):
+    """A block may have no row of a data set whose instrument has effects of its own."""
+    case = make_case("laser_tracker", seed=3, plan={"shape": (12, 4, 4)})
+    halves = {"s1": slice(0, 96), "s2": slice(96, None)}
+    cases = {
+        name: dataclasses.replace(case, data={k: v[rows] for k, v in case.data.items()})
+        for name, rows in halves.items()
+    }
+    study = vcal.load_study(write_joint(tmp_path / "joint", cases) / "setup.toml")
+    fit = vcal.identify(study.model, study.measurement)
+    names = ("warm_up", "jump", "tracker_axes", "encoder_eccentricity", "lateral_reversal")
+    tried, _ = candidates(fit.model, fit.measurement, [CATALOGUE[name] for name in names])
+    assert {effect.placement.split()[0] for effect in tried} >= {"s1", "s2"}
+    whole = ScoreTest(fit, 20, 0).tests(tried)
+    monkeypatch.setattr(sums, "_ROOM", 0)
+    monkeypatch.setattr(sums, "_BLOCK_ROWS", 31)
+    for one, other in zip(whole, ScoreTest(fit, 20, 0).tests(tried), strict=True):
+        assert (one is None) == (other is None)
+        if one is not None:
+            np.testing.assert_allclose(other.drops.stat, one.drops.stat, rtol=1e-8, atol=1e-8)
 
 
 def test_blocks_of_rows_add_up(fit, monkeypatch):

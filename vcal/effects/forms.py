@@ -118,7 +118,7 @@ class Wave(Effect):
     """The port on which it acts; a field or a property where instances differ in it."""
 
     waves: ClassVar[tuple[Parameter, Parameter]]
-    """Amplitudes of the sine and of the cosine (`sine_and_cosine`), which are all that it has."""
+    """Amplitudes of the sine and of the cosine (`sine_and_cosine`). It has no others."""
 
     @abc.abstractmethod
     def phase(self, plan: Plan, shape: Mapping[str, Array]) -> Array:
