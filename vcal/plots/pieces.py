@@ -59,8 +59,9 @@ def cut(drawn: Figure) -> Pieces:
     """Draw a figure and cut it into its pieces."""
     canvas = drawn.canvas
     assert isinstance(canvas, FigureCanvasAgg)
+    raised = raise_titles(drawn)
     canvas.draw()
-    if raise_titles(drawn):
+    if raise_titles(drawn) != raised:
         canvas.draw()
     pixels = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])
     ink = (pixels != 255).any(-1)

@@ -136,18 +136,21 @@ def _set_title(ax: Axes, title: str, pad: float) -> None:
     ax.set_title(title, fontsize=10, color=INK, loc="left", pad=pad, y=1.0)
 
 
-def raise_titles(drawn: Figure) -> bool:
+def raise_titles(drawn: Figure) -> list[Axes]:
     """Move titles above the power of ten or the offset that a y axis shows where they begin;
-    whether there are any. These are known once the figure has been drawn, which is then to be
-    repeated.
+    returns the axes that have any. What an axis shows may depend on where drawing puts it: where
+    these are others after the figure has been drawn, it is to be drawn again.
     """
-    found = False
+    found = []
     for ax in drawn.axes:
-        shown = ax.yaxis.get_offset_text()
-        title = ax.get_title(loc="left")
-        if title and ax.name != "3d" and shown.get_visible() and shown.get_text():
+        title, axis = ax.get_title(loc="left"), ax.yaxis
+        shown, formatter = axis.get_offset_text(), axis.get_major_formatter()
+        if not title or ax.name == "3d" or not shown.get_visible():
+            continue
+        formatter.format_ticks(list(axis.get_majorticklocs()))
+        if formatter.get_offset():
             _set_title(ax, title, 6.0 + 1.5 * float(shown.get_fontsize()))
-            found = True
+            found.append(ax)
     return found
 
 
@@ -197,9 +200,9 @@ def svg(drawn: Figure) -> bytes:
 
 
 def _saved(drawn: Figure, **how: Any) -> bytes:
-    buffer = io.BytesIO()
+    buffer, raised = io.BytesIO(), raise_titles(drawn)
     drawn.savefig(buffer, **how)
-    if raise_titles(drawn):
+    if raise_titles(drawn) != raised:
         buffer = io.BytesIO()
         drawn.savefig(buffer, **how)
     return buffer.getvalue()
