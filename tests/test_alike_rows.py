@@ -86,7 +86,7 @@ def test_blocks_of_rows_add_up_in_several_data_sets(tmp_path, monkeypatch):
     assert {effect.placement.split()[0] for effect in tried} >= {"s1", "s2"}
     whole = ScoreTest(fit, 20, 0).tests(tried)
     monkeypatch.setattr(sums, "_ROOM", 0)
-    monkeypatch.setattr(sums, "_BLOCK_ROWS", 31)
+    monkeypatch.setattr(sums, "_BLOCK_ROWS", (31, 31))
     for one, other in zip(whole, ScoreTest(fit, 20, 0).tests(tried), strict=True):
         assert (one is None) == (other is None)
         if one is not None:
@@ -97,7 +97,7 @@ def test_blocks_of_rows_add_up(fit, monkeypatch):
     tried, _ = candidates(fit.model, fit.measurement, [CATALOGUE["warm_up"], LocalBump])
     whole = ScoreTest(fit, 60, 0).tests(tried)
     monkeypatch.setattr(sums, "_ROOM", 0)
-    monkeypatch.setattr(sums, "_BLOCK_ROWS", 50)
+    monkeypatch.setattr(sums, "_BLOCK_ROWS", (50, 50))
     assert any(whole)
     for one, other in zip(whole, ScoreTest(fit, 60, 0).tests(tried), strict=True):
         assert (one is None) == (other is None)

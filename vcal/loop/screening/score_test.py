@@ -11,6 +11,7 @@ import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
@@ -23,7 +24,7 @@ from ...numerics.eigen import eigh
 from .responses import Response, Responses, Scan, filled
 from .significance import SILENT, minus_log_beta_tail
 from .size_evidence import log_mixture, size_allowance, size_surplus
-from .sums import EveryRow, Moved, Moving, Rows, Sums
+from .sums import Candidates, EveryRow, Moved, Moving, Rows, Sums
 
 _RESOLVED = 1e-5
 """Least share of a candidate's columns that must be independent of the model. A smaller share may
@@ -85,6 +86,27 @@ def _free(fit: Fit) -> np.ndarray:
     """
     least = np.maximum(_FAINT * fit.within_scans, _ROUNDING * (fit.jacobian**2).sum(0))
     return np.where(np.arange(len(least)) < len(fit.model.entries), fit.precision, least)
+
+
+@dataclass(frozen=True)
+class _Batch:
+    """Steps of candidates with the same number of amplitudes that are tested together."""
+
+    amplitudes: int
+    steps: list[tuple[int, slice]]
+    """Of every candidate its index and the steps of its grid."""
+    moving: list[Moving]
+    """What each moves there."""
+
+    @property
+    def sizes(self) -> list[int]:
+        """Number of steps of every candidate."""
+        return [steps.stop - steps.start for _, steps in self.steps]
+
+    @property
+    def given(self) -> tuple[int, Candidates]:
+        """As `Rows.sums_of` takes it."""
+        return self.amplitudes, list(zip(self.sizes, self.moving, strict=True))
 
 
 class ScoreTest:
@@ -182,27 +204,33 @@ class ScoreTest:
         alike: dict[int, list[int]] = {}
         for i, effect in enumerate(effects):
             alike.setdefault(len(effect.amplitudes), []).append(i)
-        tested: list[Tested | None] = [None] * len(effects)
+        own: list[list[Drops]] = [[] for _ in effects]
+        batches: dict[int, tuple[Rows, list[_Batch]]] = {}
         for amplitudes, members in alike.items():
-            own: dict[int, list[Drops]] = {i: [] for i in members}
-            batches: dict[int, tuple[Rows, Responses, list[tuple[int, Scan]]]] = {}
+            scanned: dict[int, tuple[Rows, Responses, list[tuple[int, Scan]]]] = {}
             for i in members:
                 if (tones := self._tones(effects[i])) is not None:
                     own[i] += self._dropped([len(scans[i].mesh)], self._tone_sums(*tones))
                 else:
                     over, responses = self._rows_of(effects[i])
-                    batches.setdefault(id(over), (over, responses, []))[2].append((i, scans[i]))
-            for over, responses, some in batches.values():
-                for together in filled(some, _CHUNK // amplitudes or 1):
-                    sizes = [steps.stop - steps.start for _, steps in together]
-                    moving = [
-                        self._scanned(responses, effects[i], scans[i], steps)
-                        for i, steps in together
-                    ]
-                    sums = over.sums(amplitudes, list(zip(sizes, moving, strict=True)))
-                    drops = self._dropped(sizes, sums)
-                    for (i, _), found in zip(together, drops, strict=True):
+                    scanned.setdefault(id(over), (over, responses, []))[2].append((i, scans[i]))
+            for over, responses, some in scanned.values():
+                moving = partial(self._scanned, responses)
+                batches.setdefault(id(over), (over, []))[1].extend(
+                    _Batch(amplitudes, together,
+                           [moving(effects[i], scans[i], steps) for i, steps in together])
+                    for together in filled(some, _CHUNK // amplitudes or 1)
+                )  # fmt: skip
+        for over, several in batches.values():
+            given = [batch.given for batch in several]
+            for part in over.together(given):
+                for batch, sums in zip(several[part], over.sums_of(given[part]), strict=True):
+                    drops = self._dropped(batch.sizes, sums)
+                    for (i, _), found in zip(batch.steps, drops, strict=True):
                         own[i].append(found)
+        self.rows.release()
+        tested: list[Tested | None] = [None] * len(effects)
+        for members in alike.values():
             whole = [Drops.joined(own[i]) for i in members]
             for i, drops, evidence in zip(members, whole, self._evidence(whole), strict=True):
                 if drops.rank.max() > 0:

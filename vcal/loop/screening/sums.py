@@ -7,7 +7,7 @@ projections g'r, g'J and g'r* serve all candidates on it.
 
 import abc
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,15 +16,15 @@ from scipy.sparse import csr_matrix
 from ...effects.forms import Tones
 from ...numerics.equal_frequencies import EqualFrequencies
 
-_ROOM = 2**28
-"""Most bytes of projections on ports that are kept. Those of a larger plan are made again for a
-block of rows at a time, as are the responses, so that the memory does not grow with rows, ports,
-steps and null residuals together."""
-_BLOCK_ROWS = 4_096
-"""Rows of such a block."""
-_FEW, _LARGE_BLOCK = 512, 8_192
-"""Most groups of alike rows, and rows of a block while they are summed."""
-
+_ROOM = 2**27
+"""Most bytes of projections on ports that are kept, and of sums that are made together. The
+projections of a larger plan are made for a block of rows at a time, and all candidates are summed
+over it before the next, so that the memory does not grow with rows, ports, steps and null residuals
+together."""
+_BLOCK_ROWS = 256, 4_096
+"""Fewest and most rows of such a block."""
+_FEW = 512
+"""Most groups of alike rows."""
 _CACHED = 2**16
 """Numbers that stay in the cache."""
 
@@ -32,6 +32,8 @@ Moved = list[tuple[int, tuple[int, ...], np.ndarray]]
 """(port, amplitudes that act on it (a), displacement in solver units (g, a, n)) of every port."""
 Moving = Callable[[slice], Moved]
 """What a candidate moves in some rows."""
+Candidates = Sequence[tuple[int, Moving]]
+"""Candidates with the same number of amplitudes: the number of steps of each, and what it moves."""
 
 
 class Sums(NamedTuple):
@@ -96,16 +98,35 @@ class Rows(abc.ABC):
     def both(self, p: int, q: int) -> np.ndarray:
         """Inner product (n) of the whitened responses of the readings to two ports."""
 
-    def sums(self, c: int, candidates: Sequence[tuple[int, Moving]], null: bool = True) -> Sums:
-        """Sums of candidates with `c` amplitudes, each given as its number of steps and what it
-        moves there.
-        """
-        first = np.cumsum([0, *(size for size, _ in candidates)])
-        found = Sums.zeros(first[-1], c, self.parameters, self.draws if null else 0)
+    def sums(self, c: int, candidates: Candidates, null: bool = True) -> Sums:
+        """Sums of candidates with `c` amplitudes."""
+        return self.sums_of([(c, candidates)], null)[0]
+
+    def sums_of(self, some: Sequence[tuple[int, Candidates]], null: bool = True) -> list[Sums]:
+        """Sums of several groups of candidates, each with its number of amplitudes."""
+        firsts = [np.cumsum([0, *(size for size, _ in candidates)]) for _, candidates in some]
+        draws = self.draws if null else 0
+        found = [
+            Sums.zeros(first[-1], c, self.parameters, draws)
+            for first, (c, _) in zip(firsts, some, strict=True)
+        ]
         for rows in self.blocks():
-            moved = [moving(rows) for _, moving in candidates]
-            self._add(found, rows, list(zip(first[:-1], first[1:], moved, strict=True)))
+            for sums, first, (_, candidates) in zip(found, firsts, some, strict=True):
+                moved = [moving(rows) for _, moving in candidates]
+                self._add(sums, rows, list(zip(first[:-1], first[1:], moved, strict=True)))
         return found
+
+    def together(self, some: Sequence[tuple[int, Candidates]]) -> Iterator[slice]:
+        """The groups in parts whose sums have room together."""
+        first, taken = 0, 0
+        for i, (c, candidates) in enumerate(some):
+            one = sum(size for size, _ in candidates) * c * (4 * self.draws + 8 * self.parameters)
+            if i > first and taken + one > _ROOM:
+                yield slice(first, i)
+                first, taken = i, 0
+            taken += one
+        if len(some) > first:
+            yield slice(first, len(some))
 
     def _add(self, sums: Sums, rows: slice, of: Sequence[tuple[int, int, Moved]]) -> None:
         """Add the sums over one block of rows; of steps from the first number up to the second."""
@@ -161,35 +182,37 @@ class EveryRow(Rows):
         self.reach = float((ports**2).sum(1).max(initial=0.0))
         self.parameters, self.draws = jacobian.shape[2], null.shape[2]
         self.weights = np.ones(len(ports))
-        one = len(ports) * (8 + 4 * self.draws + 8 * self.parameters)
-        self.kept: dict[int, Projected] | None = {} if one * ports.shape[2] <= _ROOM else None
+        most = _ROOM // max(ports.shape[2] * (8 + 4 * self.draws + 8 * self.parameters), 1)
+        whole = len(ports) <= most
+        self._size = len(ports) if whole else int(np.clip(most, *_BLOCK_ROWS))
+        self._kept: dict[int, Projected] = {}
+        """Projections of the rows `_at`, by port."""
+        self._at = slice(0, 0)
         self._products: dict[tuple[int, int], np.ndarray] = {}
         self._alike: dict[bytes, tuple[np.ndarray, AlikeRows]] = {}
 
-    def blocks(self, size: int = 0) -> list[slice]:
-        """All rows together where their projections are kept, otherwise `size` at a time."""
+    def blocks(self) -> list[slice]:
         n = len(self.ports)
-        size = n if self.kept is not None else size or _BLOCK_ROWS
-        return [slice(i, min(i + size, n)) for i in range(0, n, max(size, 1))]
+        return [slice(i, min(i + self._size, n)) for i in range(0, n, max(self._size, 1))]
 
     def projected(self, rows: slice, ports: Sequence[int]) -> list[Projected]:
-        if self.kept is not None:
-            return [self._once(port, self.kept) for port in ports]
+        if rows != self._at:
+            self._kept, self._at = {}, rows
+        if new := [port for port in ports if port not in self._kept]:
+            self._kept.update(zip(new, self._projected(rows, new), strict=True))
+        return [self._kept[port] for port in ports]
+
+    def release(self) -> None:
+        """Forget the projections of a block, which are of no use once all is summed over it."""
+        if self._size < len(self.ports):
+            self._kept, self._at = {}, slice(0, 0)
+
+    def _projected(self, rows: slice, ports: Sequence[int]) -> list[Projected]:
         g = np.ascontiguousarray(self.ports[rows][:, :, ports].transpose(0, 2, 1))
         r = np.einsum("npm,nm->pn", g, self.residual[rows])
         drawn = (g.astype(np.float32) @ self.null[rows]).transpose(1, 0, 2)
         j = (g @ self.jacobian[rows]).transpose(1, 0, 2)
         return [Projected(*one) for one in zip(r, drawn, j, strict=True)]
-
-    def _once(self, port: int, kept: dict[int, Projected]) -> Projected:
-        if port not in kept:
-            g = self.ports[:, :, port]
-            kept[port] = Projected(
-                np.einsum("nm,nm->n", g, self.residual),
-                np.einsum("nm,nmd->nd", g.astype(np.float32), self.null, optimize=True),
-                np.einsum("nm,nmk->nk", g, self.jacobian, optimize=True),
-            )
-        return kept[port]
 
     def both(self, p: int, q: int) -> np.ndarray:
         if (p, q) not in self._products:
@@ -225,7 +248,7 @@ class EveryRow(Rows):
         twice = EqualFrequencies(x, 2.0 * first, 2.0 * step, count)
         grid = np.zeros((waves.size, 1 + self.parameters))
         drawn_grid = np.zeros((quick.size, self.draws), np.float32)
-        for rows in self.blocks(_LARGE_BLOCK):
+        for rows in self.blocks():
             ((r, drawn, j),) = self.projected(rows, [port])
             grid += waves.spread(rows, np.column_stack([r, j]))
             drawn_grid += quick.spread(rows, drawn)
@@ -275,7 +298,7 @@ class AlikeRows(Rows):
             groups, every = len(self.weights), self._every
             sums = np.zeros((groups, 1 + every.parameters))
             null = np.zeros((groups, every.draws), np.float32)
-            for rows in every.blocks(_LARGE_BLOCK):
+            for rows in every.blocks():
                 ((r, drawn, j),) = every.projected(rows, [port])
                 labels = self._labels[rows]
                 entries = np.ones(len(labels), np.float32), labels, np.arange(len(labels) + 1)
