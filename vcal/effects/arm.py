@@ -43,7 +43,10 @@ def gravity_moments(chain: Chain, position: np.ndarray, joint: str) -> np.ndarra
     from scipy.spatial.transform import Rotation as Turn
 
     j = chain.axes.index(joint)
-    rotations, origins, turned, flange = (np.asarray(v) for v in _geometry(chain, position))
+    # A program serves all plans up to its size, as those of folds are.
+    n = len(position)
+    padded = np.resize(position, (1 << (n - 1).bit_length(), position.shape[1]))
+    rotations, origins, turned, flange = (np.asarray(v)[:n] for v in _geometry(chain, padded))
     points = np.concatenate([origins[:, j + 1 :], flange[:, None]], axis=1)
     off = _OFF_AXIS_M * np.swapaxes(turned[:, :, :2], 1, 2)
     arms = np.concatenate([points - origins[:, j, None], off], axis=1)

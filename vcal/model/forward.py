@@ -7,6 +7,7 @@ is compiled once per chain and instrument; the derivative by every parameter fol
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import accumulate, pairwise
 from typing import Any, NamedTuple
 
@@ -113,12 +114,12 @@ class Model(Record):
                 "of the positions"
             )
 
-    @property
+    @cached_property
     def entries(self) -> tuple[Entry, ...]:
         """The amplitudes of all effects, in the order of the parameter vector."""
         return tuple(Entry(i, p, e.key) for i, e in enumerate(self.effects) for p in e.amplitudes)
 
-    @property
+    @cached_property
     def places(self) -> tuple[slice, ...]:
         """Positions in the parameter vector of the amplitudes of every effect."""
         ends = [0, *accumulate(len(e.amplitudes) for e in self.effects)]

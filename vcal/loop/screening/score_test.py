@@ -362,8 +362,8 @@ class ScoreTest:
         # zero on this plan (no point under a bump) or zero to rounding (a rotation about the
         # direction of a length), or where the nuisances absorb it entirely.
         whole = np.einsum("gaa->ga", cc)
-        taken = cj[:, :, self.flat] @ self.whitening_flat
-        left = whole - np.einsum("gak,gak->ga", taken, taken)
+        taken = cj.reshape(-1, cj.shape[2])[:, self.flat] @ self.whitening_flat
+        left = whole - np.einsum("nk,nk->n", taken, taken).reshape(whole.shape)
         most = np.repeat(np.maximum.reduceat(whole.max(1), first[:-1]), sizes)
         least = np.maximum(1e-18 * np.maximum(most, 1e-60)[:, None], _CANCELLED * moved)
         seen = (whole > least) & (left > 1e-8 * whole)
