@@ -164,6 +164,12 @@ class _Steps:
         self.log_weights = np.array(weights)
         """Log of the share of its grid that a step stands for."""
         self.member = np.array(self._member, int)
+        counts = np.bincount(self.member, minlength=len(tested))
+        ends = np.cumsum(counts)
+        place = np.arange(counts.max(initial=0))
+        self.along_grid = np.minimum((ends - counts)[:, None] + place, ends[:, None] - 1)
+        """The steps of every candidate, the last one repeated (candidates, steps)."""
+        self.repeated = place >= counts[:, None]
         self.keys = np.array([tested[member].effect.key for member in self._member])
         self.nothing = odds_of_kinds(screening)
         """Prior odds that nothing more is missing."""
@@ -357,15 +363,12 @@ class _Outcomes:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Log of the odds, and drop of chi-square (steps, draws), for an effect of that size."""
         gain, drop = self._steps.gain(at, size, mean)
-        member = self._steps.member
+        member = self._steps.member[at]
         # The share of the grid that explains as much as each of these steps.
-        grid = np.where(
-            member[at][:, None] == member,
-            0.5 * size**2 * (self._explained - self._explained[at][:, None])
-            + self._steps.log_weights,
-            -np.inf,
-        )
-        share = np.logaddexp.reduce(grid, axis=1) + self._steps.log_prior[member[at]]
+        grid = self._steps.along_grid[member]
+        more = 0.5 * size**2 * (self._explained[grid] - self._explained[at][:, None])
+        more = np.where(self._steps.repeated[member], -np.inf, more + self._steps.log_weights[grid])
+        share = np.logaddexp.reduce(more, axis=1) + self._steps.log_prior[member]
         return gain + share[:, None], drop
 
 
