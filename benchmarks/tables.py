@@ -6,9 +6,9 @@
 A table stands below a line `<!-- table NAME -->` and is replaced up to the next empty line.
 """
 
+import argparse
 import json
 import re
-import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 
@@ -659,7 +659,16 @@ def renewed(text: str) -> str:
 
 def main() -> None:
     """Renew the README, or print the tables that are named."""
-    if names := sys.argv[1:]:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    every = sorted(TABLES | LONG)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"one of {', '.join(every)}")
+    names = parser.parse_args().names
+    for name in names:
+        if name not in every:
+            parser.error(f"found the table {name!r}, expected one of {', '.join(every)}")
+    if names:
         print("\n\n".join(map(made, names)))
         return
     readme = HERE / "README.md"
