@@ -86,3 +86,8 @@ def test_every_file_exists():
 )
 def test_a_name_that_is_gone_is_found(name, there):
     assert exists(name) is there
+
+
+@pytest.mark.parametrize(("name", "most"), [("README.md", 130), ("benchmarks/README.md", 250)])
+def test_a_readme_is_no_manual(name, most):
+    assert len((ROOT / name).read_text(encoding="utf-8").splitlines()) <= most
