@@ -785,9 +785,11 @@ def test_an_interruption_that_becomes_another_error(small_tracker_study, monkeyp
 
 
 def test_an_effect_is_shown_without_reading_all_bundled_studies(monkeypatch):
-    read, load = [], start_studies.load_study
+    read, load = [], start_studies.declared_model
     monkeypatch.setattr(
-        start_studies, "load_study", lambda path, *more: read.append(path.name) or load(path, *more)
+        start_studies,
+        "declared_model",
+        lambda path, *more: read.append(path.name) or load(path, *more),
     )
     monkeypatch.setattr(start_studies, "_setup", start_studies._setup.__wrapped__)
     found = start_studies.example(CATALOGUE["backlash"])

@@ -82,9 +82,9 @@ def test_frames_are_those_of_the_chain(chain):
     end = found.tool_origin + found.tool_rotation @ np.asarray(chain.tool_offset)
     np.testing.assert_allclose(end, point[0], atol=1e-12)
     if chain.arm:  # the chain's own frames are those of the bed
-        rotation, origin = chain.frames(q)
-        np.testing.assert_allclose(found.rotation, rotation, atol=1e-12)
-        np.testing.assert_allclose(found.origin, origin, atol=1e-12)
+        rotation, origin = chain.frames(q[None])
+        np.testing.assert_allclose(found.rotation, rotation[0], atol=1e-12)
+        np.testing.assert_allclose(found.origin, origin[0], atol=1e-12)
 
 
 def test_axes_of_a_trunnion_table():

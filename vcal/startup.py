@@ -43,7 +43,9 @@ def _uncollected() -> Iterator[None]:
     try:
         yield
     finally:
-        if not gc.get_freeze_count():  # else objects frozen by the program would be unfrozen
+        # The frozen objects are counted one by one: only where a collection would follow. Objects
+        # that the program has frozen stay so.
+        if gc.get_count()[0] > gc.get_threshold()[0] and not gc.get_freeze_count():
             gc.freeze()
             gc.unfreeze()
         gc.enable()

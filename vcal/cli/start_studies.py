@@ -14,12 +14,12 @@ from ..errors import StudyError
 from ..files import write_file
 from ..machine.plan import Plan
 from ..registry import nearest
-from ..study import load_study
 from ..study.declared_chain import build_chain
 from ..study.declared_effects import beside
 from ..study.folder import Folder, made_whole, require_empty
 from ..study.messages import listed
 from ..study.settings import StudySettings, table_formats, validate
+from ..study.study import declared_model
 from ..study.tables import run_table
 from ..study.toml_file import read_setup
 
@@ -109,8 +109,8 @@ def _instances(effect: type[Effect], setup: Setup) -> list[Effect]:
 
 @functools.cache
 def _setup(instrument: str, changed: tuple[tuple[str, str], ...] = ()) -> Setup:
-    study = load_study(STARTS / instrument, dict(changed))
-    return study.model.setup(study.plan)
+    model, plan = declared_model(STARTS / instrument, dict(changed))
+    return model.setup(plan)
 
 
 def _with_columns(plan: Plan, needs: Sequence[str]) -> Plan:

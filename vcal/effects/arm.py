@@ -6,8 +6,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal, Self
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -43,10 +41,8 @@ def gravity_moments(chain: Chain, position: np.ndarray, joint: str) -> np.ndarra
     from scipy.spatial.transform import Rotation as Turn
 
     j = chain.axes.index(joint)
-    # A program serves all plans up to its size, as those of folds are.
-    n = len(position)
-    padded = np.resize(position, (1 << (n - 1).bit_length(), position.shape[1]))
-    rotations, origins, turned, flange = (np.asarray(v)[:n] for v in _geometry(chain, padded))
+    rotations, origins = chain.frames(position)
+    turned, flange = chain.flange_frame(position)
     points = np.concatenate([origins[:, j + 1 :], flange[:, None]], axis=1)
     off = _OFF_AXIS_M * np.swapaxes(turned[:, :, :2], 1, 2)
     arms = np.concatenate([points - origins[:, j, None], off], axis=1)
@@ -78,19 +74,13 @@ def stretched(chain: Chain, plan: Plan, joint: str, load: Load) -> float:
     on every plan.
     """
     j, position = chain.axes.index(joint), np.asarray(plan.position)
-    rotations, origins, _, flange = (np.asarray(v) for v in _geometry(chain, position))
+    rotations, origins = chain.frames(position)
+    _, flange = chain.flange_frame(position)
     links = np.diff(np.concatenate([origins[:, j:], flange[:, None]], axis=1), axis=1)
     axis = rotations[:, j] @ np.asarray(chain.joints[j].direction)
     links[:, 0] -= np.sum(links[:, 0] * axis, axis=1)[:, None] * axis
     away = np.linalg.norm(links, axis=2).max(0).cumsum()
     return round(float(away[-1] if load == "tool" else away.mean()), 6)
-
-
-@eqx.filter_jit
-def _geometry(chain: Chain, position: Array) -> tuple[Array, Array, Array, Array]:
-    """Nominal joint frames (n, joints, 3, 3), origins (n, joints, 3), flange (n, 3, 3), (n, 3)."""
-    zero = jnp.zeros((len(chain.joints), 6))
-    return jax.vmap(lambda q: (*chain.frames(q), *chain.pose_as_arrays(q, zero)))(position)
 
 
 class _Patterns(Record):

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, Self
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -341,7 +340,7 @@ class Reflectors(TableInstrument):
 
     def _placed(self, chain: Chain, plan: Plan, readings: np.ndarray, known: bool) -> Self:
         """Initial pose of the base, and initial positions of the reflectors unless `known`."""
-        rotations, origins = _nominal_poses(chain, np.asarray(plan.position))
+        rotations, origins = chain.tool_frame(np.asarray(plan.position))
         measured = readings.reshape(plan.rows, self.count, 3)
         points = self.points if known else np.zeros((self.count, 3))
         orientation, station = self.orientation, self.station
@@ -404,7 +403,7 @@ def _check_size(chain: Chain, plan: Plan, seen: np.ndarray) -> None:
     links, a fit could absorb a wrong unit.
     """
     position = np.asarray(plan.position)
-    nominal = _nominal_poses(chain, position)[1]
+    nominal = chain.tool_point(position)
     size, expected = (np.sqrt(((p - p.mean(0)) ** 2).sum(1).mean()) for p in (seen, nominal))
     small = expected > _LARGE_M and size < expected / _OTHER_UNIT
     turning = [joint.turns for joint in chain.joints]
@@ -457,17 +456,3 @@ def _points(table: Mapping[str, np.ndarray], kind: str, count: int) -> np.ndarra
         )
         * 1e-3
     )
-
-
-def _nominal_poses(chain: Chain, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    r, t = (np.asarray(values) for values in _flange_poses(chain, position))
-    return r, t + r @ np.asarray(chain.tool_offset)
-
-
-@eqx.filter_jit
-def _flange_poses(chain: Chain, position: Array) -> tuple[Array, Array]:
-    """Rotations (n, 3, 3) and positions (n, 3), m, of the flange. Compiled once for all numbers of
-    the chain.
-    """
-    zero = jnp.zeros((len(chain.joints), 6))
-    return jax.vmap(lambda q: chain.pose_as_arrays(q, zero))(position)

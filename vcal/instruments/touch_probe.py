@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, Literal, Self
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -315,9 +314,8 @@ class TouchProbe(TableInstrument):
     def approached(self, chain: Chain, plan: Plan) -> Plan:
         """A plan with the covariates that follow from its approaches; its own have precedence."""
         position = np.asarray(plan.position)
-        away = self._approach(plan, chain.tool_point(position))
-        still = jnp.zeros((len(chain.joints), 6))
-        turn = np.asarray(jax.vmap(lambda q: chain.pose_as_arrays(q, still)[0])(plan.position))
+        turn, point = chain.tool_frame(position)
+        away = self._approach(plan, point)
         in_tool = np.einsum("nji,nj->ni", turn, away)
         found = {"approach_rad": np.arctan2(in_tool[:, 1], in_tool[:, 0])}
         by_axes = np.einsum("nij,ni->nj", _motion(chain, position), away)

@@ -18,7 +18,7 @@ Conventions (stated here once):
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
@@ -279,14 +279,44 @@ class Chain(Record):
         point = np.einsum("nji,nj->ni", rw, pt + rt @ np.asarray(self.tool_offset) - pw)
         return np.swapaxes(rw, 1, 2) @ rt, point
 
+    def flange_frame(
+        self, q: Float[np.ndarray, "n axes"]
+    ) -> tuple[Float[np.ndarray, "n 3 3"], Float[np.ndarray, "n 3"]]:
+        """Nominal frame after the last joint in the workpiece frame: R and origin (m)."""
+        rt, pt = self._nominal(self.tool_side, q)
+        rw, pw = self._nominal(self.workpiece_side, q)
+        return np.swapaxes(rw, 1, 2) @ rt, np.einsum("nji,nj->ni", rw, pt - pw)
+
     def turn(self, q: Float[np.ndarray, "n axes"]) -> Float[np.ndarray, "n 3 3"]:
         """Nominal rotation from the bed's frame to that of the workpiece."""
         return np.swapaxes(self._nominal(self.workpiece_side, q)[0], 1, 2)
 
+    def frames(
+        self, q: Float[np.ndarray, "n axes"]
+    ) -> tuple[Float[np.ndarray, "n axes 3 3"], Float[np.ndarray, "n axes 3"]]:
+        """Nominal frame of every joint before its motion, in the frame of the bed: R and origin
+        (m); for gravity torques.
+        """
+        placed = {
+            i: (r, t)
+            for side in (self.tool_side, self.workpiece_side)
+            for i, r, t in self._placed(side, q)
+        }
+        rotations, origins = zip(*(placed[i] for i in range(len(self.joints))), strict=True)
+        return np.stack(rotations, 1), np.stack(origins, 1)
+
     def _nominal(
         self, side: Sequence[int], q: Float[np.ndarray, "n axes"]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """`_frames_along` without errors for all rows: R (n, 3, 3) and t (n, 3).
+        """`_frames_along` without errors for all rows: R (n, 3, 3) and t (n, 3)."""
+        *_, (_, r, t) = self._placed(side, q)
+        return r, t
+
+    def _placed(
+        self, side: Sequence[int], q: Float[np.ndarray, "n axes"]
+    ) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+        """Every joint of a side with its nominal frame before its motion, for all rows; at the end
+        -1 with the last frame.
 
         In numpy, because the first call of every operation of jax takes a compilation, a hundred
         here.
@@ -298,6 +328,7 @@ class Chain(Record):
             before, after = np.asarray(joint.before), np.asarray(joint.after)
             motion = q[:, i, None] * np.asarray(joint.direction) * joint.sign
             t, r = t + r @ before[:3, 3], r @ before[:3, :3]
+            yield i, r, t
             if joint.turns:
                 # Imported here, as the import takes long and only rotary joints need it.
                 from scipy.spatial.transform import Rotation as Rotations
@@ -306,21 +337,7 @@ class Chain(Record):
             else:
                 t = t + np.einsum("nij,nj->ni", r, motion)
             t, r = t + r @ after[:3, 3], r @ after[:3, :3]
-        return r, t
-
-    def frames(self, q: Float[Array, " axes"]) -> tuple[Array, Array]:
-        """Nominal frame of every joint before its motion, in the frame of the bed: R (axes, 3, 3)
-        and origin (axes, 3), m; for gravity torques.
-        """
-        still = jnp.zeros((len(self.joints), 6))
-        rotations: list[Array] = [jnp.eye(3)] * len(self.joints)
-        origins: list[Array] = [jnp.zeros(3)] * len(self.joints)
-        for side in (self.tool_side, self.workpiece_side):
-            for k, i in enumerate(side):
-                r, t, _ = self._frames_along(side[:k], q, still, ARRAYS)
-                before = self.joints[i].before
-                rotations[i], origins[i] = r @ before[:3, :3], t + r @ before[:3, 3]
-        return jnp.stack(rotations), jnp.stack(origins)
+        yield -1, r, t
 
 
 @eqx.filter_custom_jvp

@@ -164,6 +164,43 @@ def load_study(
     unless `allow_outside` is set. Raises `StudyError` for every mistake in the input, and
     `RuntimeError` where JAX runs in float32.
     """
+    study, folder, given = _declared(path, overrides, trust, allow_outside)
+    settings, model, measurement = study.settings, study.model, study.measurement
+    file, data = study.path.name, listed(study.files.values())
+    check_size(model, study.plan, data, measurement is not None)
+    check_determined(model, study.plan, data)
+    if measurement is not None:
+        headers = {one.name: tuple(one.table) for one in study.sets}
+        chosen = held_out(settings.holdout, model, measurement, file, headers)
+        measurement = replace(measurement, holdout=chosen)
+        check_fitted(model, measurement, data, settings.holdout is not None)
+    _check_seen(settings, study.sets, file)
+    check = _checked(settings, study.chain, study.sets, folder)
+    _check_formats(settings, folder, file)
+    return replace(
+        study, measurement=measurement, check=check, hashes=folder.hashes, tables=folder.tables
+    )
+
+
+def declared_model(
+    path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = ()
+) -> tuple[Model, Plan]:
+    """The declared model of a study with its plan, without the checks that the readings determine
+    it, which take compilations. Raises as `load_study` does.
+    """
+    study, _, _ = _declared(path, overrides)
+    return study.model, study.plan
+
+
+def _declared(
+    path: Path | str,
+    overrides: Mapping[str, Any] | Sequence[str],
+    trust: bool = False,
+    allow_outside: bool = False,
+) -> tuple[Study, Folder, Mapping[str, str]]:
+    """A study as it is declared, without hold-out and check points; the folder that it is read
+    from; and where overrides were given.
+    """
     require_float64()
     path = Path(path)
     if path.is_dir():
@@ -219,17 +256,7 @@ def load_study(
             "at least one parameter to identify",
             "add [model.geometric] or an effect",
         )
-    check_size(model, plan, listed(files.values()), measurement is not None)
-    check_determined(model, plan, listed(files.values()))
-    if measurement is not None:
-        headers = {one.name: tuple(one.table) for one in sets}
-        chosen = held_out(settings.holdout, model, measurement, file, headers)
-        measurement = replace(measurement, holdout=chosen)
-        check_fitted(model, measurement, listed(files.values()), settings.holdout is not None)
-    _check_seen(settings, sets, file)
-    check = _checked(settings, chain, sets, folder)
-    _check_formats(settings, folder, file)
-    return Study(
+    study = Study(
         name=printable(settings.name or path.resolve().parent.name, lines=False),
         path=path,
         settings=settings,
@@ -239,13 +266,13 @@ def load_study(
         model=model,
         plan=plan,
         measurement=measurement,
-        check=check,
+        check=None,
         catalogue=catalogue,
         hashes=folder.hashes,
-        tables=folder.tables,
         trust=trust,
         allow_outside=allow_outside,
     )
+    return study, folder, given
 
 
 def _naming(tree: Any, file: str, how: str = "") -> dict[str, str]:
