@@ -179,6 +179,14 @@ def test_a_large_plan_is_taken_in_blocks(known, monkeypatch):
         for rank, drops in one.drops.null.items():
             np.testing.assert_allclose(drops, other.drops.null[rank], rtol=1e-4, atol=1e-4)
     assert len(kept.rows.blocks()) == 1 < len(again.rows.blocks())
+    # What is asked for after a screening needs no null residuals; a small plan keeps them.
+    kept.release_draws()
+    again.release_draws()
+    assert kept.null.size > 0 == again.null.size == again.rows.draws
+    for one, other in zip(before, again.tests(tried), strict=True):
+        np.testing.assert_allclose(one.drops.stat, other.drops.stat, rtol=1e-9, atol=1e-9)
+        peak = other.peaks(1)[0]
+        assert again.refine(peak).statistic == pytest.approx(kept.refine(peak).statistic)
 
 
 @pytest.mark.thorough

@@ -393,7 +393,7 @@ def corrected_kinematics(fit: Fit) -> CorrectedKinematics:
     corrected = convert(twists, constant[6 * joints : 6 * joints + 6])
     q = np.asarray(plan.position, float)
     own = corrected.tool_frames(q[:, list(chain.tool_side)])[:, :3, 3]
-    everything = np.asarray(port_values(terms, fit.theta, size))
+    everything = np.asarray(port_values(terms, np.asarray(fit.theta), size))
     off = np.linalg.norm(np.asarray(tool_points(chain, q, everything)) - own, axis=1)
     lost = np.linalg.norm(_without_beta(corrected, q[:, list(chain.tool_side)]), axis=1)
     return CorrectedKinematics(

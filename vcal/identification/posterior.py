@@ -19,7 +19,7 @@ from ..effects.base import Effect
 from ..machine.plan import Plan
 from ..model.forward import Model, observe_with_jacobian
 from ..model.simulate import scattering
-from ..numerics.arrays import Array
+from ..numerics.arrays import Array, namespace
 
 _NOTHING = 1e-30
 """Lower bound of a variance, SI: the square root has no derivative at zero."""
@@ -170,11 +170,13 @@ def slopes(
         own = {p.name: (start + k, p.step) for k, p in enumerate(effect.amplitudes)}
         for (port, name), response in effect.response(plan, shape).items():
             place, step = own[name]
-            columns.append(jnp.broadcast_to(jnp.asarray(response), (plan.rows,)) * step)
+            xp = namespace(response)
+            columns.append(xp.broadcast_to(xp.asarray(response), (plan.rows,)) * step)
             ports.append(model.layout.index(port))
             places.append(place)
         start += len(own)
+    xp = namespace(by_port, *columns)
     if not columns:
-        return jnp.zeros((*np.shape(by_port)[:2], start))
-    by_term = by_port[:, :, np.array(ports)] * jnp.stack(columns, -1)[:, None, :]
+        return xp.zeros((*np.shape(by_port)[:2], start))
+    by_term = by_port[:, :, np.array(ports)] * xp.stack(columns, -1)[:, None, :]
     return by_term @ np.eye(start)[np.array(places)]

@@ -23,7 +23,7 @@ from ..machine.chain import Chain
 from ..machine.parameters import Parameter
 from ..machine.plan import Plan
 from ..machine.ports import PortLayout
-from ..numerics.arrays import Array
+from ..numerics.arrays import Array, array, known
 from ..numerics.compiled import filter_jit_outermost
 from ..numerics.record import Record
 from ..numerics.rigid import Rotation, Scalar, Vector, exp, left_jacobian_matrix
@@ -221,6 +221,8 @@ def split_ports(instrument: Instrument, ports: Sequence[Scalar]) -> dict[str, Se
 def port_values(terms: Terms, theta: Float[Array, " k"], size: int) -> Float[Array, "n p"]:
     """Port vector of every row (n, p), SI: the sum of the terms."""
     columns = terms.values * theta[terms.parameter]
+    if known(terms.port):
+        return terms.offset + columns @ np.eye(size)[np.asarray(terms.port)]
     return terms.offset + columns @ jax.nn.one_hot(terms.port, size, dtype=columns.dtype)
 
 
@@ -399,7 +401,9 @@ def predict(
     check_theta(model, theta)
     with jax.ensure_compile_time_eval():  # the effects are plain data even where theta is traced
         terms = model.terms(plan, shapes)
-    ports = port_values(terms, jnp.asarray(theta), len(model.layout))
+    # In numpy where it is not traced: the first call of an operation of jax takes a compilation.
+    theta = np.asarray(theta) if known(theta) else array(theta)
+    ports = port_values(terms, theta, len(model.layout))
     readings = observe_all(
         model.chain, model.instrument, plan.position, model.instrument.rows(plan), ports
     )

@@ -346,7 +346,7 @@ def true_tool_points(model: Model, plan: Plan, truth: Truth) -> Float[np.ndarray
         if effect.where == "machine" and plan.has(*effect.needs_at(truth.shapes.get(i, {})))
     ]
     terms = concatenate(blocks, plan.rows, len(model.layout))
-    ports = port_values(terms, jnp.asarray(truth.theta), len(model.layout))
+    ports = port_values(terms, np.asarray(truth.theta), len(model.layout))
     return np.asarray(tool_points(model.chain, jnp.asarray(plan.position), ports))
 
 

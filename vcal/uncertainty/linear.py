@@ -209,7 +209,7 @@ def _by_port(pair: Pair) -> tuple[np.ndarray, dict[int, dict[str, Any]]]:
         middle = {name: float(value) for name, value in values.items()}
         shapes[i] = {**shapes.get(i, {}), **middle}
     terms = model.terms(simulator.plan, shapes)
-    nominal = port_values(terms, jnp.zeros(len(model.entries)), len(model.layout))
+    nominal = port_values(terms, np.zeros(len(model.entries)), len(model.layout))
     _, slopes = observe_with_jacobian(
         model.chain, model.instrument, simulator.plan.position, simulator.rows, nominal
     )

@@ -142,6 +142,14 @@ class ScoreTest:
         ports = np.einsum("nij,njp->nip", fit.whitener, fit.port_jacobian)
         self.rows = EveryRow(ports, self.residual, self.null, fit.jacobian.reshape(n, m, -1))
 
+    def release_draws(self) -> None:
+        """Forget the null residuals of a large plan: once its candidates are screened, what is
+        asked for is found from the readings alone.
+        """
+        if len(self.rows.blocks()) > 1:
+            self.null = np.empty((*self.null.shape[:2], 0), np.float32)
+            self.rows = EveryRow(self.rows.ports, self.residual, self.null, self.rows.jacobian)
+
     def _cost(self, chi2, prior):
         """The total that a drop is a share of: squares of the readings and of the prior.
 

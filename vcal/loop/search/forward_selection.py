@@ -204,6 +204,7 @@ class ForwardSelection:
             self._responses = Responses(measurement.plan)
         screen_state = ScoreTest(fit, self.draws, self.seed + number, self._responses)
         screening = screen(screen_state, [*tried, *empirical])
+        screen_state.release_draws()
         self.screenings.append(screening)
         self.refused = None
         return screen_state, screening
