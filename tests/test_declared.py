@@ -13,6 +13,7 @@ from vcal.effects.registry import CATALOGUE
 from vcal.loop.screening.candidates import candidates
 from vcal.study import load_study, write_table
 from vcal.study.simulated import parse_every_with, parse_with, write_simulated
+from vcal.study.study import declared_model
 
 STARTS = Path(vcal.__file__).parent / "demo" / "start"
 MATRIX = "acceleration_crosstalk", "jerk_crosstalk", "snap_crosstalk"
@@ -142,8 +143,8 @@ def follow(row, told):
 @pytest.mark.slow
 def test_a_message_leads_to_one_effect(instrument):
     """Whatever an effect of the catalogue leaves open, its messages can be followed."""
-    study = load_study(STARTS / instrument)
-    setup = study.model.setup(study.plan)
+    model, plan = declared_model(STARTS / instrument)
+    setup = model.setup(plan)
     followed = 0
     for name, kind in CATALOGUE.items():
         for placement in dict.fromkeys(e.placement for e in kind.candidates(setup)):
