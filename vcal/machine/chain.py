@@ -19,7 +19,7 @@ Conventions (stated here once):
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -30,18 +30,20 @@ from jaxtyping import Float
 from ..numerics.arrays import Array
 from ..numerics.record import Record
 from ..numerics.rigid import (
-    ARRAYS,
-    COMPONENTS,
+    IDENTITY,
     ORIGIN,
-    Algebra,
     Rotation,
     Scalar,
     Vector,
+    about,
+    exp,
     left_jacobian,
     left_jacobian_matrix,
     like,
+    placement,
     spun,
 )
+from ..numerics.spatial import rotation
 from .plan import Axes
 
 _DIRECTIONS = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
@@ -166,8 +168,7 @@ class Chain(Record):
         self, q: Float[Array, " axes"], twists: Float[Array, "axes 6"]
     ) -> tuple[Float[Array, "3 3"], Float[Array, "3"]]:
         """`pose` in arrays: R (3, 3) and t (3,)."""
-        rt, pt, _ = self._frames_along(self.tool_side, q, twists, ARRAYS)
-        rw, pw, _ = self._frames_along(self.workpiece_side, q, twists, ARRAYS)
+        _, _, (rt, pt), (rw, pw) = self._as_arrays(q, twists)
         return rw.T @ rt, rw.T @ (pt - pw)
 
     def jacobian(
@@ -179,56 +180,92 @@ class Chain(Record):
         of the rotation (3, 6 axes; dR = skew(w) R), all in the workpiece frame. This is the
         geometric Jacobian of a serial chain; every column follows from the pose of its joint.
         """
-        rt, pt, tool = self._frames_along(self.tool_side, q, twists, ARRAYS)
-        rw, pw, work = self._frames_along(self.workpiece_side, q, twists, ARRAYS)
+        frame, origin, (rt, pt), (rw, pw) = self._as_arrays(q, twists)
         point = pt + rt @ offset
-        moved, turned = (
-            [jnp.zeros((3, 6))] * len(self.joints),
-            [jnp.zeros((3, 6))] * len(self.joints),
-        )
-        sides = ((self.tool_side, tool, 1.0), (self.workpiece_side, work, -1.0))
-        for side, hinges, sign in sides:
-            for i, hinge in zip(side, hinges, strict=True):
-                frame = sign * jnp.asarray(hinge.frame)
-                spin = frame @ left_jacobian_matrix(twists[i][3:])
-                arm = jnp.cross(spin, point - hinge.origin, axisa=0, axisb=0, axisc=0)
-                moved[i] = jnp.concatenate([frame, arm], 1)
-                turned[i] = jnp.concatenate([jnp.zeros((3, 3)), spin], 1)
+        side = np.array([joint.sign for joint in self.joints])[:, None, None]
+        frame = side * frame
+        spin = frame @ jax.vmap(left_jacobian_matrix)(twists[:, 3:])
+        arm = jnp.cross(spin, (point - origin)[:, :, None], axis=1)
+        moved = jnp.concatenate([frame, arm], 2)
+        turned = jnp.concatenate([jnp.zeros_like(frame), spin], 2)
         back = rw.T
         return (
             back @ rt,
             back @ (point - pw),
-            back @ jnp.concatenate(moved, 1),
-            back @ jnp.concatenate(turned, 1),
+            back @ jnp.swapaxes(moved, 0, 1).reshape(3, -1),
+            back @ jnp.swapaxes(turned, 0, 1).reshape(3, -1),
         )
 
+    def _as_arrays(
+        self, q: Float[Array, " axes"], twists: Float[Array, "axes 6"]
+    ) -> tuple[Array, Array, tuple[Array, Array], tuple[Array, Array]]:
+        """`_frames_along` in arrays: where the errors of every joint act, rotation (axes, 3, 3) and
+        origin (axes, 3); the last frame of the tool's side and that of the workpiece's.
+
+        What belongs to one joint is computed for all at once, which halves the compilation.
+        """
+        ahead, moves, behind, links = self._links(q, twists)
+        frames, origins = [jnp.eye(3)] * len(self.joints), [jnp.zeros(3)] * len(self.joints)
+        ends = []
+        for side in (self.tool_side, self.workpiece_side):
+            r, t = jnp.eye(3), jnp.zeros(3)
+            for i in side:
+                t, r = t + r @ moves[i], r @ ahead[i]
+                frames[i], origins[i] = r, t
+                t, r = t + r @ links[i], r @ behind[i]
+            ends.append((r, t))
+        return jnp.stack(frames), jnp.stack(origins), *ends
+
+    def _links(
+        self, q: Float[Array, " axes"], twists: Float[Array, "axes 6"]
+    ) -> tuple[Array, Array, Array, Array]:
+        """Of every joint, from the end of the last one to where its errors act, and from there to
+        its own end: rotation (axes, 3, 3) and translation (axes, 3).
+        """
+        before = jnp.stack([joint.before for joint in self.joints])
+        after = jnp.stack([joint.after for joint in self.joints])
+        along = jnp.stack([joint.direction * joint.sign for joint in self.joints]) * q[:, None]
+        turns = np.array([joint.turns for joint in self.joints])
+        first = np.array([joint.kind == "revolute" for joint in self.joints])
+        turned = jax.vmap(rotation)(jnp.where(turns[:, None], along, 0.0))
+        slid = jnp.where(turns[:, None], 0.0, along)
+        ahead = before[:, :3, :3] @ jnp.where(first[:, None, None], turned, jnp.eye(3))
+        moved = jnp.einsum("nij,nj->ni", before[:, :3, :3], slid)
+        moved += before[:, :3, 3] + jnp.einsum("nij,nj->ni", ahead, twists[:, :3])
+        last = jnp.where(first[:, None, None], jnp.eye(3), turned)
+        tilted = jax.vmap(rotation)(twists[:, 3:]) @ last
+        link = jnp.einsum("nij,nj->ni", tilted, after[:, :3, 3])
+        return ahead, moved, tilted @ after[:, :3, :3], link
+
     def _frames_along(
-        self, side: Sequence[int], q: Any, twists: Any, algebra: Algebra = COMPONENTS
-    ) -> tuple[Any, Any, list[_Hinge]]:
-        """Pose of the last frame of one side in the frame of the bed, and the joints before it."""
-        r, t = algebra.identity, algebra.origin
+        self, side: Sequence[int], q: Sequence[Scalar], twists: Sequence[Sequence[Scalar]]
+    ) -> tuple[Rotation, Vector, list[_Hinge]]:
+        """Pose of the last frame of one side in the frame of the bed, and the joints before it; by
+        components, the fastest evaluation over many draws.
+        """
+        r, t = IDENTITY, ORIGIN
         hinges = []
         for i in side:
             joint, twist = self.joints[i], twists[i]
-            turn, shift = algebra.placement(joint.before)
+            turn, shift = placement(joint.before)
             base, r = t + r @ shift, r @ turn
-            direction = algebra.vector(joint.direction)
+            direction = Vector.of(joint.direction)
             drive = r @ (direction * joint.sign)
             if joint.kind == "prismatic":
                 t = base + drive * q[i]
             elif joint.kind == "revolute":
-                t, r = base, r @ algebra.about(direction, joint.sign * q[i])
+                t, r = base, r @ about(direction, joint.sign * q[i])
             else:
                 t = base
-            t = t + r @ algebra.vector(twist[:3])
-            tilted = r @ algebra.exp(algebra.vector(twist[3:]))
+            t = t + r @ Vector.of(twist[:3])
+            tilted = r @ exp(Vector.of(twist[3:]))
             if joint.kind == "rotary":
                 drive, base = tilted @ (direction * joint.sign), t
             hinges.append(_Hinge(drive, base, r, t))
             r = tilted
             if joint.kind == "rotary":
-                r = r @ algebra.about(direction, joint.sign * q[i])
-            turn, shift = algebra.placement(joint.after)
+                r = r @ about(direction, joint.sign * q[i])
+            turn, shift = placement(joint.after)
             t, r = t + r @ shift, r @ turn
         return r, t, hinges
 

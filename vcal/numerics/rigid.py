@@ -7,8 +7,7 @@ plain Python numbers are constants: products with 0 and 1 are left out.
 """
 
 import math
-from collections.abc import Callable
-from typing import Any, NamedTuple, overload
+from typing import Any, overload
 
 import equinox as eqx
 import jax
@@ -19,7 +18,7 @@ from jax.core import Tracer
 
 from .arrays import Array
 from .record import Record
-from .spatial import rotation, skew
+from .spatial import skew
 
 Scalar = float | Array
 """One component: a Python number (a constant), or an array without axes."""
@@ -247,35 +246,3 @@ def spun(r: Rotation, w: Vector) -> Rotation:
     """skew(w) R: the change of a rotation matrix under the small rotation `w`."""
     columns = r.T.rows
     return Rotation(tuple(w.cross(c) for c in columns)).T
-
-
-class Algebra(NamedTuple):
-    """A representation of vectors and rotations: the operations that a kinematic chain needs.
-
-    Both representations support `+`, `-`, `@`, `.T` and the product with a number.
-    """
-
-    identity: Any
-    origin: Any
-    vector: Callable[[Any], Any]
-    """Vector from a sequence or array (3,)."""
-    placement: Callable[[Any], tuple[Any, Any]]
-    """Rotation and translation of a homogeneous matrix."""
-    about: Callable[[Any, Any], Any]
-    """Rotation about a unit vector by an angle."""
-    exp: Callable[[Any], Any]
-    """Rotation by a rotation vector."""
-
-
-COMPONENTS = Algebra(IDENTITY, ORIGIN, Vector.of, placement, about, exp)
-"""Vectors and rotations by components: the fastest evaluation over many draws."""
-ARRAYS = Algebra(
-    np.eye(3),
-    np.zeros(3),
-    jnp.asarray,
-    lambda m: (m[:3, :3], m[:3, 3]),
-    lambda axis, angle: rotation(axis * angle),
-    rotation,
-)
-"""Vectors and rotations as arrays: the fastest compilation where the derivatives with respect to
-all errors are needed together."""
